@@ -1,0 +1,292 @@
+"""The configuration: one tree of frozen dataclasses, the only source of defaults.
+
+YAML files, ROS parameters and docs/parameters.md derive from it. `build` is strict: an unknown key,
+a wrong type or a value outside its range is an error that names the parameter.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cloth_predict.errors import ConfigError
+
+
+def param(
+    default: Any,
+    doc: str,
+    unit: str = '',
+    low: float | None = None,
+    high: float | None = None,
+    above: float | None = None,
+    choices: tuple[str, ...] = (),
+    length: int | None = None,
+) -> Any:
+    """Declare a parameter: default, meaning, unit, and the values that it may take."""
+    limits = {
+        'doc': doc,
+        'unit': unit,
+        'low': low,
+        'high': high,
+        'above': above,
+        'choices': choices,
+        'length': length,
+    }
+    return field(default=default, metadata=limits)
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The mass-spring-damper surface."""
+
+    kind: str = param('mass_spring', 'model of the surface', choices=('mass_spring',))
+    rows: int = param(5, 'rows of nodes; a chain has 1', low=1)
+    cols: int = param(4, 'columns of nodes', low=1)
+    width: float = param(0.51, 'from the first to the last column at rest', 'm', above=0)
+    height: float = param(0.80, 'from the first to the last row at rest', 'm', above=0)
+    rest_length: str = param(
+        'dimensions',
+        'rest lengths from width and height, or from the distances measured at the start',
+        choices=('dimensions', 'measured'),
+    )
+    mass: float = param(0.34, 'mass of the whole surface, shared evenly by the nodes', 'kg', above=0)
+    stiffness_structural: float = param(60.0, 'springs to the 4 neighbours', 'N/m', low=0)
+    stiffness_shear: float = param(60.0, 'springs to the 4 diagonal neighbours', 'N/m', low=0)
+    stiffness_flexion: float = param(60.0, 'springs to the nodes 2 away', 'N/m', low=0)
+    damping: float = param(0.1, 'damper of every spring', 'N s/m', low=0)
+    gravity: tuple[float, ...] = param(
+        (0.0, -9.81, 0.0), 'gravity in the mocap frame', 'm/s^2', length=3
+    )
+
+
+@dataclass(frozen=True)
+class AnchorsConfig:
+    """Nodes that the surroundings move; inputs of the model, not states."""
+
+    nodes: tuple[int, ...] = param((), 'indices of the driven nodes, row by row from 0', low=0)
+    motion: str = param(
+        'fixed',
+        'how a driven node moves between and beyond its measurements',
+        choices=('fixed', 'constant_velocity', 'constant_acceleration'),
+    )
+    process_noise: float = param(
+        0.0, 'spectral density of the white noise that drives the motion (0 for fixed)',
+        'm^2/s^(2k+1)', low=0,
+    )
+
+
+@dataclass(frozen=True)
+class ForceConfig:
+    """The force that the model does not know (wind, touch), as a state of the filter."""
+
+    kind: str = param(
+        'none', 'one force per free node as a state, or none', choices=('none', 'ornstein_uhlenbeck')
+    )
+    sigma: float = param(0.1, 'standard deviation of each component of the force', 'N', above=0)
+    tau: float = param(0.3, 'time over which the force forgets', 's', above=0)
+
+
+@dataclass(frozen=True)
+class FilterConfig:
+    """The estimator."""
+
+    kind: str = param('ekf', 'estimator', choices=('ekf',))
+    integrator: str = param(
+        'implicit_euler', 'step in time', choices=('euler', 'rk4', 'implicit_euler')
+    )
+    max_step: float = param(0.01, 'longest step in time; a longer interval is split', 's', above=0)
+    process_noise: float = param(
+        1.0, 'spectral density of the unknown acceleration of each free node', 'm^2/s^3', low=0
+    )
+    measurement_noise: float = param(
+        3e-4, 'standard deviation of each coordinate of a marker', 'm', above=0
+    )
+    initial_velocity: float = param(
+        0.5, 'standard deviation of the velocity at the start', 'm/s', low=0
+    )
+    max_gap: float = param(
+        1.0, 'interval between frames after which the filter starts anew', 's', above=0
+    )
+    max_backstep: float = param(
+        0.5, 'a stamp this far back is a new start (a looped bag), a nearer one a late frame', 's',
+        above=0,
+    )
+
+
+@dataclass(frozen=True)
+class BaselineConfig:
+    """The kinematic filters that `evaluate` compares with."""
+
+    cv_noise: float = param(
+        30.0, 'constant velocity: spectral density of the acceleration', 'm^2/s^3', above=0
+    )
+    ca_noise: float = param(
+        3000.0, 'constant acceleration: spectral density of the jerk', 'm^2/s^5', above=0
+    )
+
+
+@dataclass(frozen=True)
+class ReplayConfig:
+    """The replay node."""
+
+    path: str = param('', 'bag (folder or .mcap) or Motive .csv to replay')
+    rate: float = param(1.0, 'speed of replay', 'x', above=0, high=1000)
+    loop: bool = param(False, 'start again at the end')
+    start: float = param(0.0, 'offset into the recording at which to start', 's', low=0)
+    clock: bool = param(True, 'publish /clock')
+    subscribers: int = param(1, 'subscribers of markers to wait for before the first frame', low=0)
+    timeout: float = param(15.0, 'longest wait for them', 's', low=0)
+    drop: float = param(0.0, 'share of markers to leave out at random', low=0, high=1)
+    jitter: float = param(0.0, 'standard deviation of a random delay of each frame', 's', low=0)
+    seed: int = param(0, 'seed of the drops and delays', low=0)
+
+
+@dataclass(frozen=True)
+class ProjectorConfig:
+    """The projector: a pinhole (Gomes 2016, eq. 2.8-2.10) that draws row by row."""
+
+    width: int = param(1280, 'resolution across', 'px', low=1)
+    height: int = param(720, 'resolution down', 'px', low=1)
+    fps: float = param(60.0, 'frames drawn per second', 'Hz', above=0)
+    alpha: float = param(1400.0, 'focal length across', 'px', above=0)
+    beta: float = param(1400.0, 'focal length down', 'px', above=0)
+    gamma: float = param(0.0, 'skew', 'px')
+    u0: float = param(640.0, 'principal point across', 'px')
+    v0: float = param(360.0, 'principal point down', 'px')
+    rotation: tuple[float, ...] = param(
+        (1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0),
+        'rotation from the mocap frame to the projector (x right, y down, z out), row by row',
+        length=9,
+    )
+    translation: tuple[float, ...] = param(
+        (-0.255, 1.1, 2.2), 'translation from the mocap frame to the projector', 'm', length=3
+    )
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything: one file serves all nodes and the command line."""
+
+    horizon: float = param(0.1, 'how far ahead to predict (Ts)', 's', low=0, high=10)
+    frame: str = param('mocap', 'frame_id of the markers')
+    labels: tuple[str, ...] = param(
+        (), 'labels of the markers to use, in node order; all of the recording when left out'
+    )
+    model: ModelConfig = ModelConfig()
+    anchors: AnchorsConfig = AnchorsConfig()
+    force: ForceConfig = ForceConfig()
+    filter: FilterConfig = FilterConfig()
+    baseline: BaselineConfig = BaselineConfig()
+    replay: ReplayConfig = ReplayConfig()
+    projector: ProjectorConfig = ProjectorConfig()
+
+
+def build(values: dict[str, Any], source: str) -> Config:
+    """Build the configuration from nested mappings; `source` names their origin in errors."""
+    config = typing.cast('Config', _build(Config, values, source, ''))
+    _check_together(config, source)
+    return config
+
+
+def load(path: Path) -> Config:
+    """Read a ROS parameter file: the parameters under `/**: ros__parameters:`."""
+    try:
+        document = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigError(f'{path}: {error.strerror}') from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f'{path}: not YAML: {" ".join(str(error).split())}') from None
+    try:
+        values = document['/**']['ros__parameters']
+    except (TypeError, KeyError):
+        raise ConfigError(f"{path}: no '/**: ros__parameters:' at the top") from None
+    return build({} if values is None else values, str(path))
+
+
+def nest(flat: dict[str, Any]) -> dict[str, Any]:
+    """Turn ROS' dotted names into nested mappings."""
+    tree: dict[str, Any] = {}
+    for name, value in flat.items():
+        *groups, last = name.split('.')
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+        branch[last] = value
+    return tree
+
+
+def _build(kind: type, values: Any, source: str, prefix: str) -> Any:
+    if not isinstance(values, dict):
+        raise ConfigError(f'{source}: {prefix.rstrip(".") or "parameters"}: expected a mapping')
+    hints = typing.get_type_hints(kind)
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    chosen = {}
+    for key, value in values.items():
+        name = f'{prefix}{key}'
+        if key not in fields:
+            close = difflib.get_close_matches(str(key), fields, n=1)
+            hint = f' (did you mean {prefix}{close[0]}?)' if close else ''
+            raise ConfigError(f'{source}: {name}: unknown parameter{hint}')
+        if dataclasses.is_dataclass(hints[key]):
+            chosen[key] = _build(typing.cast('type', hints[key]), value, source, f'{name}.')
+        else:
+            chosen[key] = _value(hints[key], value, fields[key].metadata, f'{source}: {name}')
+    return kind(**chosen)
+
+
+def _value(hint: Any, value: Any, limits: typing.Mapping[str, Any], name: str) -> Any:
+    if typing.get_origin(hint) is tuple:
+        if isinstance(value, str) or not hasattr(value, '__iter__'):
+            raise ConfigError(f'{name}: expected a list, got {value!r}')
+        item = typing.get_args(hint)[0]
+        items = tuple(_scalar(item, v, limits, name) for v in value)
+        if limits['length'] is not None and len(items) != limits['length']:
+            raise ConfigError(f'{name}: expected {limits["length"]} values, got {len(items)}')
+        return items
+    return _scalar(hint, value, limits, name)
+
+
+def _scalar(kind: type, value: Any, limits: typing.Mapping[str, Any], name: str) -> Any:
+    accepted = (int, float) if kind is float else kind
+    if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
+        raise ConfigError(f'{name}: expected {kind.__name__}, got {value!r}')
+    if kind is str and limits['choices'] and value not in limits['choices']:
+        raise ConfigError(f'{name}: {value!r} is not one of {", ".join(limits["choices"])}')
+    if kind in (int, float):
+        _check_range(float(value), limits, name, value)
+    return kind(value)
+
+
+def _check_range(
+    number: float, limits: typing.Mapping[str, Any], name: str, value: Any
+) -> None:
+    if not math.isfinite(number):
+        raise ConfigError(f'{name}: {value} is not finite')
+    for bad, words in (
+        (limits['low'] is not None and number < limits['low'], f'at least {limits["low"]}'),
+        (limits['high'] is not None and number > limits['high'], f'at most {limits["high"]}'),
+        (limits['above'] is not None and number <= limits['above'], f'above {limits["above"]}'),
+    ):
+        if bad:
+            raise ConfigError(f'{name}: {value} is out of range, must be {words}')
+
+
+def _check_together(config: Config, source: str) -> None:
+    nodes = config.model.rows * config.model.cols
+    outside = [node for node in config.anchors.nodes if node >= nodes]
+    if outside:
+        raise ConfigError(
+            f'{source}: anchors.nodes: node {outside[0]} does not exist, '
+            f'model.rows x model.cols has {nodes} nodes'
+        )
+    if len(set(config.anchors.nodes)) != len(config.anchors.nodes):
+        raise ConfigError(f'{source}: anchors.nodes: a node is listed twice')
+    if len(config.anchors.nodes) == nodes:
+        raise ConfigError(f'{source}: anchors.nodes: every node is driven, nothing is left to predict')

@@ -1,0 +1,19 @@
+"""Errors that a user can mend: one line that names the file, line, label or parameter."""
+
+from __future__ import annotations
+
+
+class ClothPredictError(ValueError):
+    """Base of all known errors; the command line prints it as one line and exits with 1."""
+
+
+class ConfigError(ClothPredictError):
+    """A configuration that cannot be used: names the file and the parameter."""
+
+
+class FormatError(ClothPredictError):
+    """A recording that cannot be used: names the file, and the line, topic or label."""
+
+
+class FrameError(ClothPredictError):
+    """One frame of markers that cannot be used; the next one may be good."""

@@ -1,0 +1,54 @@
+"""The linear algebra of Gaussian conditioning; the only Cholesky of a covariance is here."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import lapack
+
+from cloth_predict.types import FloatArray, Gaussian, Innovation, IntArray
+
+
+def propagate(cov: FloatArray, step_jac: FloatArray, noise: FloatArray) -> FloatArray:
+    """Covariance after a step: F (P + N/2) F' + N/2, shape (dim_x, dim_x).
+
+    `noise`, shape (dim_x,), is dt times the spectral density. Half of it acts before the step and
+    half after (trapezoid rule for the integral of the noise), so that noise on the velocities
+    reaches the positions.
+    """
+    half = 0.5 * noise
+    start = cov.copy()
+    diagonal = np.arange(len(half))
+    start[diagonal, diagonal] += half
+    end = step_jac @ start @ step_jac.T
+    end[diagonal, diagonal] += half
+    return symmetric(end)
+
+
+def condition(
+    belief: Gaussian, jac: FloatArray | IntArray, noise: FloatArray, residual: FloatArray
+) -> tuple[Gaussian, Innovation]:
+    """Condition a belief on a linear measurement (Gomes 2016, eq. 6.6).
+
+    With S = H P H' + R = L L' and W = L^-1 H P the gain is K = W' L^-1, and the covariance
+    P - K S K' = P - W' W is symmetric by construction. `jac` of integers selects rows. Raises
+    FloatingPointError where S is not positive definite.
+    """
+    selects = np.issubdtype(jac.dtype, np.integer)
+    cross = belief.cov[jac] if selects else jac @ belief.cov
+    innovation_cov = cross[:, jac] if selects else cross @ jac.T
+    innovation_cov = innovation_cov + (np.diag(noise) if noise.ndim == 1 else noise)
+    lower, failed = lapack.dpotrf(innovation_cov, lower=1)
+    if failed:
+        raise FloatingPointError('the innovation covariance is not positive definite')
+    both = np.column_stack([cross, residual])
+    white, _ = lapack.dtrtrs(lower, both, lower=1)
+    gain_root, white_residual = white[:, :-1], white[:, -1]
+    mean = belief.mean + gain_root.T @ white_residual
+    cov = symmetric(belief.cov - gain_root.T @ gain_root)
+    nis = float(white_residual @ white_residual)
+    return Gaussian(mean, cov), Innovation(residual, innovation_cov, nis)
+
+
+def symmetric(matrix: FloatArray) -> FloatArray:
+    """Symmetric part of a matrix that is symmetric but for rounding."""
+    return 0.5 * (matrix + matrix.T)

@@ -1,0 +1,181 @@
+"""The nouns of the project: beliefs, recordings and the four protocols.
+
+Conventions: SI units; positions are node-major; a state is ``x = [p; v]`` (Gomes 2016, eq. 3.2);
+time is integer nanoseconds until the one place that makes a ``dt`` of it (`tracker.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+BoolArray: TypeAlias = NDArray[np.bool_]
+Solver: TypeAlias = Callable[[FloatArray], FloatArray]
+
+UNLABELLED_PREFIXES = ('unlabeled', 'unlabelled')
+
+
+def read_only(array: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return a view that cannot be written to."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A belief: mean, shape (dim_x,), and covariance, shape (dim_x, dim_x); both read-only."""
+
+    mean: FloatArray
+    cov: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, 'mean', read_only(self.mean))
+        object.__setattr__(self, 'cov', read_only(self.cov))
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """What an update learnt: residual z - h(x), shape (m,), and its covariance S, shape (m, m)."""
+
+    residual: FloatArray
+    cov: FloatArray
+    nis: float
+    """Normalised innovation squared, residual' S^-1 residual; chi-square with m degrees."""
+
+
+@dataclass(frozen=True)
+class MarkerSequence:
+    """A recording of point markers.
+
+    stamps [ns], shape (frames,), int64, as recorded; labels, one per marker;
+    positions [m], shape (frames, markers, 3), NaN where not visible;
+    visible, shape (frames, markers).
+    """
+
+    stamps: IntArray
+    labels: tuple[str, ...]
+    positions: FloatArray
+    visible: BoolArray
+    frame_id: str = 'mocap'
+
+    def __post_init__(self) -> None:
+        frames, markers = len(self.stamps), len(self.labels)
+        if self.positions.shape != (frames, markers, 3):
+            raise ValueError(
+                f'positions have shape {self.positions.shape}, '
+                f'expected ({frames}, {markers}, 3) from the stamps and labels'
+            )
+        if self.visible.shape != (frames, markers):
+            raise ValueError(
+                f'visible has shape {self.visible.shape}, expected ({frames}, {markers})'
+            )
+        if len(set(self.labels)) != markers:
+            raise ValueError('labels are not unique')
+        for name in ('stamps', 'positions', 'visible'):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    @property
+    def unlabelled(self) -> BoolArray:
+        """Which columns are trajectories that the mocap system did not identify."""
+        return np.array([is_unlabelled(label) for label in self.labels], bool)
+
+    def select(self, columns: IntArray | list[int]) -> MarkerSequence:
+        """Return the recording with these marker columns only, in this order."""
+        index = np.asarray(columns, np.int64)
+        return MarkerSequence(
+            self.stamps,
+            tuple(self.labels[i] for i in index),
+            self.positions[:, index],
+            self.visible[:, index],
+            self.frame_id,
+        )
+
+
+def is_unlabelled(label: str) -> bool:
+    """Tell whether a label is a mocap system's name for a marker that it did not identify."""
+    return label.lower().startswith(UNLABELLED_PREFIXES)
+
+
+class Dynamics(Protocol):
+    """Motion in continuous time, x' = f(x, u); pure; knows no time step and no filter."""
+
+    @property
+    def dim_x(self) -> int:
+        """Number of states."""
+
+    @property
+    def dim_u(self) -> int:
+        """Number of known inputs (driven nodes, external forces)."""
+
+    def f(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        """Time derivative of the state, shape (dim_x,)."""
+
+    def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
+        """Derivative of f with respect to x, shape (dim_x, dim_x)."""
+
+
+class StiffDynamics(Dynamics, Protocol):
+    """Motion that also offers the linear solve of an implicit step.
+
+    The solve may use a J~ that differs from `jac` where that keeps it positive definite; the step's
+    own Jacobian then follows from `jac` and from `solve_jac_derivative`, both exact.
+    """
+
+    def factorise(self, x: FloatArray, u: FloatArray, dt: float) -> Solver:
+        """Return y(b) that solves (I - dt J~(x, u)) y = b; b has shape (dim_x,) or (dim_x, m)."""
+
+    def solve_jac_derivative(
+        self, x: FloatArray, u: FloatArray, w: FloatArray
+    ) -> sparse.csr_array:
+        """Derivative of J~(x, u) w with respect to x for a fixed w, shape (dim_x, dim_x)."""
+
+
+class Integrator(Protocol):
+    """One step in time of any Dynamics, and the exact Jacobian of that step."""
+
+    def step(self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float) -> FloatArray:
+        """State after dt [s], shape (dim_x,); u is held over the step."""
+
+    def step_jac(
+        self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """State after dt [s] and its derivative F with respect to x, shape (dim_x, dim_x)."""
+
+
+class Observation(Protocol):
+    """What a sensor sees of a state, with its noise covariance."""
+
+    @property
+    def cov(self) -> FloatArray:
+        """Noise variances, shape (m,), or covariance, shape (m, m)."""
+
+    def h(self, x: FloatArray) -> FloatArray:
+        """Measurement expected at x, shape (m,)."""
+
+    def jac(self, x: FloatArray) -> FloatArray | IntArray:
+        """Derivative of h, shape (m, dim_x); or, as integers of shape (m,), the rows of x seen."""
+
+
+class Filter(Protocol):
+    """A recursive estimator; holds no state of its own."""
+
+    def predict(
+        self, belief: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray, dt: float
+    ) -> Gaussian:
+        """Belief dt [s] later; q, shape (dim_x,), is the spectral density of the process noise."""
+
+    def update(
+        self, belief: Gaussian, obs: Observation, z: FloatArray
+    ) -> tuple[Gaussian, Innovation]:
+        """Belief given the measurement z, shape (m,), and what was learnt."""
