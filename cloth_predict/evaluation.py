@@ -75,7 +75,7 @@ class Kinematic:
         """Extrapolated positions [m], shape (markers, 3)."""
         predicted = np.full((self._nodes, 3), np.nan)
         for marker, track in self._tracks.items():
-            predicted[marker] = track.extrapolate(horizon)[0][0]
+            predicted[marker] = track.extrapolate(horizon)[0]
         return predicted
 
 

@@ -90,8 +90,8 @@ class ImplicitEuler:
 
     def step(self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float) -> FloatArray:
         """State after dt [s], shape (dim_x,)."""
-        stiff = cast('StiffDynamics', model)
-        return x + stiff.factorise(x, u, dt)(dt * model.f(x, u))
+        at = cast('StiffDynamics', model).linearise(x, u)
+        return x + at.solver(dt)(dt * at.slope)
 
     def step_jac(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
@@ -101,12 +101,11 @@ class ImplicitEuler:
         Differentiating (I - dt J~(x)) dx = dt f(x) gives F = I + (I - dt J~)^-1 dt (J + d(J~ dx)/dx):
         the matrix depends on the state too, and its change along dx belongs to the Jacobian.
         """
-        stiff = cast('StiffDynamics', model)
-        solve = stiff.factorise(x, u, dt)
-        change = solve(dt * model.f(x, u))
-        slope = model.jac(x, u) + stiff.solve_jac_derivative(x, u, change)
-        step_jac = solve(dt * slope.toarray())
-        step_jac[np.diag_indices(model.dim_x)] += 1.0
+        at = cast('StiffDynamics', model).linearise(x, u)
+        solve = at.solver(dt)
+        change = solve(dt * at.slope)
+        step_jac = solve(dt * at.step_slope(change).toarray())
+        step_jac.flat[:: model.dim_x + 1] += 1.0
         return x + change, step_jac
 
 

@@ -14,7 +14,8 @@ from scipy import sparse
 
 from cloth_predict.formats.bag import Recording, Truth
 from cloth_predict.integrators import RK4, RungeKutta
-from cloth_predict.models.mass_spring import MassSpring, Springs, grid_pairs
+from cloth_predict.models.mass_spring import MassSpring
+from cloth_predict.models.springs import Springs, grid_pairs
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
 AIR_DENSITY = 1.2
@@ -66,9 +67,9 @@ class Fan:
     gusts: Gusts
     middle: FloatArray
     distance: float = 1.5
-    speed: float = 3.5
+    speed: float = 4.0
     swing: float = 0.6
-    period: float = 8.0
+    period: float = 5.0
     spread: float = 0.3
 
     def __call__(self, position: FloatArray, time: float) -> FloatArray:
@@ -177,7 +178,7 @@ def run(
 
 
 def towel_fan(
-    rng: np.random.Generator, duration: float, progress: Progress, step: float = 5e-4
+    rng: np.random.Generator, duration: float, progress: Progress, step: float = 1e-3
 ) -> Truth:
     """A 0.51 x 0.80 m towel of 0.34 kg hung by its top row before a swinging fan, 17 x 13 nodes."""
     shape = np.zeros((17, 13, 3))

@@ -16,9 +16,10 @@ from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.kinematic import KinematicTrack
 from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.models.disturbed import Disturbed
-from cloth_predict.models.mass_spring import MassSpring, Springs, grid_pairs
+from cloth_predict.models.mass_spring import MassSpring
+from cloth_predict.models.springs import Springs, grid_pairs
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.types import BoolArray, FloatArray, Gaussian, Innovation
+from cloth_predict.types import BoolArray, FloatArray, Gaussian, Innovation, IntArray
 
 NANOSECONDS = 1e9
 FEWEST_TO_START = 3
@@ -77,17 +78,18 @@ class Tracker:
 
     def estimate(self) -> Surface:
         """Return the surface at the last frame."""
-        return self._surface(self._started_belief(), 0.0)
+        belief, rows = self._started_belief(), self._position_rows()
+        return self._surface(belief.mean, np.diagonal(belief.cov)[rows], 0.0)
 
     def predict(self, horizon: float) -> Surface:
         """Return the surface `horizon` [s] after the last frame, by running the model there."""
         belief = self._started_belief()
         steps, dt = self._steps(horizon)
-        for k in range(steps):
-            belief = self._filter.predict(
-                belief, self._model, self._input((k + 1) * dt), self._noise, dt
-            )
-        return self._surface(belief, horizon)
+        inputs = [self._input((k + 1) * dt) for k in range(steps)]
+        mean, variance = self._filter.forecast(
+            belief, self._model, inputs, self._noise, dt, self._position_rows()
+        )
+        return self._surface(mean, variance, horizon)
 
     def _check(self, positions: FloatArray, visible: BoolArray) -> None:
         if positions.shape != (self.nodes, 3) or visible.shape != (self.nodes,):
@@ -183,7 +185,7 @@ class Tracker:
     def _input(self, ahead: float) -> FloatArray:
         if not self._tracks:
             return self._mesh.input()
-        derivatives = np.array([track.extrapolate(ahead)[0] for track in self._tracks])
+        derivatives = np.array([track.extrapolate(ahead) for track in self._tracks])
         return self._mesh.input(derivatives[:, 0], derivatives[:, 1])
 
     def _started_belief(self) -> Gaussian:
@@ -191,17 +193,19 @@ class Tracker:
             raise FrameError('no surface yet: not enough markers have been seen')
         return self._belief
 
-    def _surface(self, belief: Gaussian, ahead: float) -> Surface:
+    def _position_rows(self) -> IntArray:
+        return np.arange(3 * len(self._mesh.free))
+
+    def _surface(self, mean: FloatArray, variance: FloatArray, ahead: float) -> Surface:
         mesh, u = self._mesh, self._input(ahead)
         size = 3 * len(mesh.free)
-        position, velocity = mesh.surface(belief.mean, u)
+        position, velocity = mesh.surface(mean, u)
         acceleration, sigma = np.zeros((self.nodes, 3)), np.zeros(self.nodes)
-        acceleration[mesh.free] = self._model.f(belief.mean, u)[size : 2 * size].reshape(-1, 3)
-        variance = np.diagonal(belief.cov)[:size].reshape(-1, 3).mean(axis=1)
-        sigma[mesh.free] = np.sqrt(np.maximum(variance, 0.0))
+        acceleration[mesh.free] = self._model.f(mean, u)[size : 2 * size].reshape(-1, 3)
+        sigma[mesh.free] = np.sqrt(np.maximum(variance.reshape(-1, 3).mean(axis=1), 0.0))
         for node, track in zip(mesh.driven, self._tracks, strict=True):
-            derivatives, track_variance = track.extrapolate(ahead)
-            acceleration[node], sigma[node] = derivatives[2], track_variance**0.5
+            acceleration[node] = track.extrapolate(ahead)[2]
+            sigma[node] = track.variance(ahead) ** 0.5
         assert self._stamp is not None
         return Surface(
             self._stamp + round(ahead * NANOSECONDS), position, velocity, acceleration, sigma

@@ -125,20 +125,29 @@ class Dynamics(Protocol):
         """Derivative of f with respect to x, shape (dim_x, dim_x)."""
 
 
-class StiffDynamics(Dynamics, Protocol):
-    """Motion that also offers the linear solve of an implicit step.
+class Linearised(Protocol):
+    """A model at one state, as an implicit step needs it.
 
-    The solve may use a J~ that differs from `jac` where that keeps it positive definite; the step's
-    own Jacobian then follows from `jac` and from `solve_jac_derivative`, both exact.
+    The solve may use a J~ that differs from J where that keeps it positive definite; `step_slope`
+    accounts for it, so that the step's own Jacobian is exact all the same.
     """
 
-    def factorise(self, x: FloatArray, u: FloatArray, dt: float) -> Solver:
-        """Return y(b) that solves (I - dt J~(x, u)) y = b; b has shape (dim_x,) or (dim_x, m)."""
+    @property
+    def slope(self) -> FloatArray:
+        """Time derivative f, shape (dim_x,)."""
 
-    def solve_jac_derivative(
-        self, x: FloatArray, u: FloatArray, w: FloatArray
-    ) -> sparse.csr_array:
-        """Derivative of J~(x, u) w with respect to x for a fixed w, shape (dim_x, dim_x)."""
+    def solver(self, dt: float) -> Solver:
+        """Return y(b) that solves (I - dt J~) y = b; b has shape (dim_x,) or (dim_x, m)."""
+
+    def step_slope(self, w: FloatArray) -> sparse.csr_array:
+        """Derivative of f(x) + J~(x) w with respect to x for a fixed w, shape (dim_x, dim_x)."""
+
+
+class StiffDynamics(Dynamics, Protocol):
+    """Motion that also offers the linear solve of an implicit step."""
+
+    def linearise(self, x: FloatArray, u: FloatArray) -> Linearised:
+        """Return the model at (x, u)."""
 
 
 class Integrator(Protocol):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from cloth_predict.filters.linear import condition, propagate
 from cloth_predict.types import (
@@ -10,6 +13,7 @@ from cloth_predict.types import (
     FloatArray,
     Gaussian,
     Innovation,
+    IntArray,
     Integrator,
     Observation,
 )
@@ -27,6 +31,32 @@ class ExtendedKalmanFilter:
         """Belief dt [s] later: x = step(x), P = F P F' + Q (Gomes 2016, eq. 6.2, with F exact)."""
         mean, step_jac = self.integrator.step_jac(model, belief.mean, u, dt)
         return Gaussian(mean, propagate(belief.cov, step_jac, dt * q))
+
+    def forecast(
+        self,
+        belief: Gaussian,
+        model: Dynamics,
+        inputs: Sequence[FloatArray],
+        q: FloatArray,
+        dt: float,
+        rows: IntArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean, shape (dim_x,), after one step of dt [s] per input, and the variances of `rows`.
+
+        The same as as many calls of `predict`, but the rows W are pulled back through the steps
+        (W <- W F) instead of the whole covariance being pushed forward.
+        """
+        mean, step_jacs = belief.mean, []
+        for u in inputs:
+            mean, step_jac = self.integrator.step_jac(model, mean, u, dt)
+            step_jacs.append(step_jac)
+        pulled, half = np.eye(len(mean))[rows], 0.5 * dt * q
+        variance = np.zeros(len(rows))
+        for step_jac in reversed(step_jacs):
+            variance += pulled**2 @ half
+            pulled = pulled @ step_jac
+            variance += pulled**2 @ half
+        return mean, variance + np.einsum('ij,ij->i', pulled @ belief.cov, pulled)
 
     def update(
         self, belief: Gaussian, obs: Observation, z: FloatArray

@@ -21,7 +21,7 @@ def transition(order: int, dt: float) -> FloatArray:
     """Taylor transition matrix of the position and its derivatives, shape (order, order)."""
     step = np.eye(order)
     for lag in range(1, order):
-        step += np.diag(np.full(order - lag, dt**lag / factorial(lag)), lag)
+        step.flat[lag : (order - lag) * order : order + 1] = dt**lag / factorial(lag)
     return step
 
 
@@ -67,11 +67,14 @@ class KinematicTrack:
         # filterpy reshapes z to one column unless H is given with it
         self._filter.update(np.reshape(position, (1, 3)), H=self._observed)
 
-    def extrapolate(self, horizon: float) -> tuple[FloatArray, float]:
-        """Return derivatives 0 to 2, shape (3, 3), `horizon` [s] ahead and the position's variance."""
-        step = transition(self.order, horizon)
+    def extrapolate(self, horizon: float) -> FloatArray:
+        """Position [m], velocity and acceleration `horizon` [s] ahead, shape (3, 3)."""
         derivatives = np.zeros((3, 3))
-        derivatives[: self.order] = step @ self._filter.x
-        noise = white_noise(self.order, self._density, horizon)
-        cov = step @ self._filter.P @ step.T + noise
-        return derivatives, float(cov[0, 0])
+        derivatives[: self.order] = transition(self.order, horizon) @ self._filter.x
+        return derivatives
+
+    def variance(self, horizon: float) -> float:
+        """Variance [m^2] of a coordinate of the position `horizon` [s] ahead."""
+        step = transition(self.order, horizon)
+        cov = step @ self._filter.P @ step.T + white_noise(self.order, self._density, horizon)
+        return float(cov[0, 0])

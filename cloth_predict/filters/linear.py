@@ -17,10 +17,9 @@ def propagate(cov: FloatArray, step_jac: FloatArray, noise: FloatArray) -> Float
     """
     half = 0.5 * noise
     start = cov.copy()
-    diagonal = np.arange(len(half))
-    start[diagonal, diagonal] += half
+    start.flat[:: len(half) + 1] += half
     end = step_jac @ start @ step_jac.T
-    end[diagonal, diagonal] += half
+    end.flat[:: len(half) + 1] += half
     return symmetric(end)
 
 

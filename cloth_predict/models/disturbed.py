@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from scipy import sparse
 
-from cloth_predict.types import FloatArray, Solver, StiffDynamics
+from cloth_predict.types import FloatArray, Linearised, Solver, StiffDynamics
 
 
 class Forced(StiffDynamics, Protocol):
@@ -30,8 +31,8 @@ class Disturbed:
             raise ValueError('tau must be positive')
         self.model = model
         self.tau = tau
-        self._gain = model.jac_force()
-        self._forces = self._gain.shape[1]
+        self.gain = model.jac_force()
+        self._forces = self.gain.shape[1]
         self._joined: _Joined | None = None
 
     @property
@@ -47,35 +48,48 @@ class Disturbed:
     def f(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Time derivative of the state, shape (dim_x,)."""
         inner, force = np.split(x, [self.model.dim_x])
-        return np.concatenate([self.model.f(inner, u) + self._gain @ force, -force / self.tau])
+        return np.concatenate([self.model.f(inner, u) + self.gain @ force, -force / self.tau])
 
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f with respect to x, shape (dim_x, dim_x)."""
-        return self._join(self.model.jac(x[: self.model.dim_x], u), 1.0)
+        return self.join(self.model.jac(x[: self.model.dim_x], u))
 
-    def factorise(self, x: FloatArray, u: FloatArray, dt: float) -> Solver:
-        """Solver of the implicit step: forces first, then the model with the forces known."""
-        size = self.model.dim_x
-        inner = self.model.factorise(x[:size], u, dt)
+    def linearise(self, x: FloatArray, u: FloatArray) -> _Linearised:
+        """Return the model and its forces at (x, u)."""
+        inner = self.model.linearise(x[: self.model.dim_x], u)
+        force = x[self.model.dim_x :]
+        slope = np.concatenate([inner.slope + self.gain @ force, -force / self.tau])
+        return _Linearised(self, inner, slope)
+
+    def join(self, inner: sparse.csr_array) -> sparse.csr_array:
+        """Return [[inner, G], [0, -I / tau]]."""
+        if self._joined is None or self._joined.inner_size != inner.nnz:
+            self._joined = _Joined(inner, self.gain, self.tau)
+        return self._joined.matrix(inner)
+
+
+@dataclass(frozen=True)
+class _Linearised:
+    """A disturbed model at one state; see `types.Linearised`."""
+
+    model: Disturbed
+    inner: Linearised
+    slope: FloatArray
+
+    def solver(self, dt: float) -> Solver:
+        """Solver of the implicit step: the forces first, then the model with the forces known."""
+        gain, size = self.model.gain, self.model.model.dim_x
+        solve_inner = self.inner.solver(dt)
 
         def solve(b: FloatArray) -> FloatArray:
-            force = b[size:] / (1.0 + dt / self.tau)
-            return np.concatenate([inner(b[:size] + dt * (self._gain @ force)), force])
+            force = b[size:] / (1.0 + dt / self.model.tau)
+            return np.concatenate([solve_inner(b[:size] + dt * (gain @ force)), force])
 
         return solve
 
-    def solve_jac_derivative(
-        self, x: FloatArray, u: FloatArray, w: FloatArray
-    ) -> sparse.csr_array:
-        """Derivative of J~(x) w for a fixed w: the forces enter linearly and add nothing."""
-        size = self.model.dim_x
-        return self._join(self.model.solve_jac_derivative(x[:size], u, w[:size]), 0.0)
-
-    def _join(self, inner: sparse.csr_array, scale: float) -> sparse.csr_array:
-        """Return [[inner, scale G], [0, -scale / tau I]]."""
-        if self._joined is None or self._joined.inner_size != inner.nnz:
-            self._joined = _Joined(inner, self._gain, self.tau)
-        return self._joined.matrix(inner, scale)
+    def step_slope(self, w: FloatArray) -> sparse.csr_array:
+        """The forces enter linearly: only the model's part depends on w."""
+        return self.model.join(self.inner.step_slope(w[: self.model.model.dim_x]))
 
 
 class _Joined:
@@ -95,6 +109,6 @@ class _Joined:
         self._take = joined.data - 1
         self._indices, self._indptr, self._shape = joined.indices, joined.indptr, joined.shape
 
-    def matrix(self, inner: sparse.csr_array, scale: float) -> sparse.csr_array:
-        values = np.concatenate([inner.data, scale * self._outer])[self._take]
+    def matrix(self, inner: sparse.csr_array) -> sparse.csr_array:
+        values = np.concatenate([inner.data, self._outer])[self._take]
         return sparse.csr_array((values, self._indices, self._indptr), shape=self._shape)

@@ -1,0 +1,126 @@
+"""The sparsity of a mass-spring surface, built once: from one 3x3 block per spring to matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import lapack
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from cloth_predict.types import FloatArray, IntArray, Solver
+
+MOST_DENSE = 240
+"""Size of the implicit step's matrix up to which a dense factor is faster than a banded one:
+LAPACK's dense solve works on many columns at once, its banded one column by column."""
+
+
+class BlockStructure:
+    """Where the 3x3 blocks of the springs stand; blocks are arrays of shape (blocks, 9).
+
+    A block (a, b) is the change of the force on free node a with the motion of free node b.
+    """
+
+    def __init__(self, pairs: IntArray, free: IntArray, nodes: int) -> None:
+        """Number the blocks of springs `pairs`, shape (springs, 2), between the free nodes."""
+        number = np.full(nodes, -1)
+        number[free] = np.arange(len(free))
+        i, j = number[pairs[:, 0]], number[pairs[:, 1]]
+        self.free, self.size = len(free), 3 * len(free)
+        each = np.arange(len(pairs))
+        ends = np.concatenate([i[i >= 0], j[j >= 0]])
+        spring = np.concatenate([each[i >= 0], each[j >= 0]])
+        sign = np.repeat([1.0, -1.0], [(i >= 0).sum(), (j >= 0).sum()])
+        self.incidence = sparse.csr_array((sign, (ends, spring)), shape=(len(free), len(pairs)))
+        """Adds the springs' forces up at the free nodes: + at the first end, - at the second."""
+        # dF/dp of a spring is -B for the node's own motion and +B for that of its neighbour
+        both = (i >= 0) & (j >= 0)
+        a = np.concatenate([np.arange(len(free)), ends, i[both], j[both]])
+        b = np.concatenate([np.arange(len(free)), ends, j[both], i[both]])
+        keys, block = np.unique(a * len(free) + b, return_inverse=True)
+        source = np.concatenate([spring, each[both], each[both]])
+        weight = np.repeat([-1.0, 1.0], [len(ends), 2 * both.sum()])
+        self._scatter = sparse.csr_array(
+            (weight, (block[len(free) :], source)), shape=(len(keys), len(pairs))
+        )
+        self.a, self.b = keys // len(free), keys % len(free)
+        self._indptr = np.searchsorted(self.a, np.arange(len(free) + 1))
+        self._row, self._col = _scalars(self.a, self.b)
+        self._build_band()
+        self._build_state_matrix()
+
+    def gather(self, springs: FloatArray) -> FloatArray:
+        """Blocks, shape (blocks, m), from values of the springs, shape (springs, m)."""
+        return np.asarray(self._scatter @ springs)
+
+    def diagonal(self, values: FloatArray) -> FloatArray:
+        """Blocks of a diagonal matrix with one value per free node."""
+        return np.where(self.a == self.b, values[self.a], 0.0)[:, None] * np.eye(3).ravel()
+
+    def matrix(self, blocks: FloatArray) -> sparse.bsr_array:
+        """Sparse matrix of shape (3 free, 3 free)."""
+        data = blocks.reshape(-1, 3, 3)
+        return sparse.bsr_array((data, self.b, self._indptr), shape=(self.size, self.size))
+
+    def state_matrix(self, jap: FloatArray, jav: FloatArray) -> sparse.csr_array:
+        """Return [[0, I], [Jap, Jav]] (Gomes 2016, eq. 3.23) from blocks."""
+        values = np.concatenate([np.ones(self.size), jap.ravel(), jav.ravel()])
+        return sparse.csr_array(
+            (values[self._csr_take], self._csr_indices, self._csr_indptr),
+            shape=(2 * self.size, 2 * self.size),
+        )
+
+    def cholesky(self, blocks: FloatArray) -> Solver:
+        """Solver of a symmetric positive definite matrix; b has shape (3 free, m).
+
+        Raises FloatingPointError where the matrix is not positive definite.
+        """
+        if self.size <= MOST_DENSE:
+            matrix = np.zeros((self.size, self.size))
+            matrix[self._row, self._col] = blocks.ravel()
+            factor, failed = lapack.dpotrf(matrix, lower=1)
+        else:
+            band = np.zeros((self._bandwidth + 1, self.size))
+            band[self._band_row, self._band_col] = blocks.ravel()[self._band_take]
+            factor, failed = lapack.dpbtrf(band, lower=1)
+        if failed:
+            raise FloatingPointError('the implicit step has no positive definite matrix')
+        if self.size <= MOST_DENSE:
+            return lambda b: np.asarray(lapack.dpotrs(factor, b, lower=1)[0])
+
+        def solve(b: FloatArray) -> FloatArray:
+            y = np.empty_like(b)
+            y[self._order] = lapack.dpbtrs(factor, b[self._order], lower=1)[0]
+            return y
+
+        return solve
+
+    def _build_band(self) -> None:
+        """Places of the lower triangle in LAPACK's band storage, nodes in Cuthill-McKee order."""
+        shape = (self.free, self.free)
+        graph = sparse.csr_array((np.ones(len(self.a)), (self.a, self.b)), shape=shape)
+        order = np.asarray(reverse_cuthill_mckee(graph, symmetric_mode=True), np.int64)
+        rank = np.empty(self.free, np.int64)
+        rank[order] = np.arange(self.free)
+        self._order = (3 * order[:, None] + np.arange(3)).ravel()
+        row, col = _scalars(rank[self.a], rank[self.b])
+        lower = row >= col
+        self._band_take = np.flatnonzero(lower)
+        self._band_col = col[lower]
+        self._band_row = row[lower] - self._band_col
+        self._bandwidth = int(self._band_row.max(initial=0))
+
+    def _build_state_matrix(self) -> None:
+        """CSR structure of [[0, I], [Jap, Jav]] and the order of its values."""
+        identity, row, col = np.arange(self.size), self._row + self.size, self._col
+        rows = np.concatenate([identity, row, row])
+        cols = np.concatenate([identity + self.size, col, col + self.size])
+        self._csr_take = np.lexsort((cols, rows))
+        self._csr_indices = cols[self._csr_take]
+        self._csr_indptr = np.searchsorted(rows[self._csr_take], np.arange(2 * self.size + 1))
+
+
+def _scalars(a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
+    """Rows and columns of the scalars of 3x3 blocks (a, b), each of shape (9 blocks,)."""
+    axis, shape = np.arange(3), (len(a), 3, 3)
+    row = np.broadcast_to(3 * a[:, None, None] + axis[:, None], shape)
+    return row.ravel(), np.broadcast_to(3 * b[:, None, None] + axis, shape).ravel()

@@ -1,0 +1,54 @@
+"""Which nodes springs join, and how: grids and chains of any size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cloth_predict.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Springs:
+    """Springs with dampers; arrays of shape (springs,), `pairs` (springs, 2) node indices.
+
+    stiffness k [N/m], damping d [N s/m], rest_length r [m]; one value may stand for all springs.
+    Raises ValueError for values that are negative or not finite.
+    """
+
+    pairs: IntArray
+    stiffness: FloatArray
+    damping: FloatArray
+    rest_length: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ('stiffness', 'damping', 'rest_length'):
+            values = np.broadcast_to(np.asarray(getattr(self, name), float), (len(self.pairs),))
+            if not np.all(np.isfinite(values)) or np.any(values < 0):
+                raise ValueError(f'{name} must be finite and not negative')
+            object.__setattr__(self, name, values)
+
+
+def grid_pairs(rows: int, cols: int) -> dict[str, IntArray]:
+    """Node pairs of a rows x cols grid by spring family, each of shape (springs, 2).
+
+    Structural: 4 neighbours; shear: 4 diagonals; flexion: 2 away along rows and columns
+    (Gomes 2016, figure 3.1). A chain is a 1 x n grid.
+    """
+    return {
+        'structural': _pairs(rows, cols, ((0, 1), (1, 0))),
+        'shear': _pairs(rows, cols, ((1, 1), (1, -1))),
+        'flexion': _pairs(rows, cols, ((0, 2), (2, 0))),
+    }
+
+
+def _pairs(rows: int, cols: int, offsets: tuple[tuple[int, int], ...]) -> IntArray:
+    """Pairs of each node with those `offsets` (down, right) away."""
+    node = np.arange(rows * cols).reshape(rows, cols)
+    found = []
+    for down, right in offsets:
+        start = node[: max(rows - down, 0), max(-right, 0) : max(cols - max(right, 0), 0)]
+        end = node[down:, max(right, 0) : max(cols + min(right, 0), 0)]
+        found.append(np.column_stack([start.ravel(), end.ravel()]))
+    return np.concatenate(found).astype(np.int64)
