@@ -290,3 +290,18 @@ def _check_together(config: Config, source: str) -> None:
         raise ConfigError(f'{source}: anchors.nodes: a node is listed twice')
     if len(config.anchors.nodes) == nodes:
         raise ConfigError(f'{source}: anchors.nodes: every node is driven, nothing is left to predict')
+
+
+def as_mapping(config: Config) -> dict[str, Any]:
+    """Return nested mappings that `build` turns into the same configuration.
+
+    Empty lists are left out: a ROS parameter file cannot hold one.
+    """
+
+    def plain(value: Any) -> Any:
+        if dataclasses.is_dataclass(value):
+            pairs = ((f.name, plain(getattr(value, f.name))) for f in dataclasses.fields(value))
+            return {name: inner for name, inner in pairs if inner != []}
+        return list(value) if isinstance(value, tuple) else value
+
+    return typing.cast('dict[str, Any]', plain(config))

@@ -19,26 +19,11 @@ from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs, grid_pairs
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.types import BoolArray, FloatArray, Gaussian, Innovation, IntArray
+from cloth_predict.types import BoolArray, FloatArray, Gaussian, Innovation, IntArray, Surface
 
 NANOSECONDS = 1e9
 FEWEST_TO_START = 3
 """Visible nodes without which the first surface would be a guess."""
-
-
-@dataclass(frozen=True)
-class Surface:
-    """All nodes at one time.
-
-    stamp [ns]; position [m], velocity [m/s], acceleration [m/s^2], each (nodes, 3);
-    sigma [m], shape (nodes,): standard deviation of a coordinate of the position.
-    """
-
-    stamp: int
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    sigma: FloatArray
 
 
 @dataclass(frozen=True)

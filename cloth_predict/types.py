@@ -102,6 +102,21 @@ class MarkerSequence:
         )
 
 
+@dataclass(frozen=True)
+class Surface:
+    """All nodes at one time.
+
+    stamp [ns]; position [m], velocity [m/s], acceleration [m/s^2], each (nodes, 3);
+    sigma [m], shape (nodes,): standard deviation of a coordinate of the position.
+    """
+
+    stamp: int
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    sigma: FloatArray
+
+
 def is_unlabelled(label: str) -> bool:
     """Tell whether a label is a mocap system's name for a marker that it did not identify."""
     return label.lower().startswith(UNLABELLED_PREFIXES)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_predict.errors import FrameError
-from cloth_predict.types import BoolArray, FloatArray
+from cloth_predict.types import BoolArray, FloatArray, Surface
 
 UNLABELLED = 0xFFFFFFFF
 """The `id` of a point that the mocap system did not identify."""
@@ -106,3 +106,17 @@ def decode_markers(message: Any, nodes: int) -> tuple[FloatArray, BoolArray, int
     positions, visible = np.full((nodes, 3), np.nan), np.zeros(nodes, bool)
     positions[ids], visible[ids] = xyz(labelled), True
     return positions, visible, len(points) - len(labelled)
+
+
+def encode_surface(surface: Surface, rows: int, cols: int) -> NDArray[np.void]:
+    """Pack a surface as an organised cloud, shape (rows, cols)."""
+    points = np.empty(len(surface.position), SURFACE)
+    for prefix, values in (
+        ('', surface.position),
+        ('v', surface.velocity),
+        ('a', surface.acceleration),
+    ):
+        for k, axis in enumerate('xyz'):
+            points[prefix + axis] = values[:, k]
+    points['sigma'] = surface.sigma
+    return points.reshape(rows, cols)

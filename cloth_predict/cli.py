@@ -1,0 +1,171 @@
+"""The command `cloth-predict`: parse, one call, print."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+from tqdm import tqdm
+
+from cloth_predict import __version__
+from cloth_predict import commands as run
+from cloth_predict.errors import ClothPredictError
+from cloth_predict.share import find
+from cloth_predict.simulate import SCENARIOS
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; known errors are one line on standard error and exit code 1."""
+    options = _parser().parse_args(arguments)
+    try:
+        # the matrices are small: a second BLAS thread costs more than it computes
+        with threadpool_limits(1):
+            options.call(options)
+    except ClothPredictError as error:
+        print(f'cloth-predict: {error}', file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='cloth-predict', description='Predict where a moving surface will be.'
+    )
+    parser.add_argument('--version', action='version', version=__version__)
+    commands = parser.add_subparsers(required=True, metavar='COMMAND')
+
+    def command(name: str, call: Callable[[argparse.Namespace], None], text: str) -> _Command:
+        added = commands.add_parser(name, help=text, description=text)
+        added.set_defaults(call=call)
+        return _Command(added)
+
+    demo = command('demo', _demo, 'run the live graph on a recording and show how well it predicts')
+    demo.config(find('config/towel.yaml')).json()
+    demo.add('--bag', type=Path, default=find('bags/towel_fan'), help='recording to replay')
+    demo.add('-o', '--output', type=Path, default=Path('out/demo'), help='folder for the results')
+    simulate = command('simulate', _simulate, 'make a recording with known truth')
+    simulate.add('scenario', choices=sorted(SCENARIOS))
+    simulate.output_bag()
+    simulate.add('--seed', type=_whole, default=0)
+    simulate.add('--duration', type=_positive, default=12.0, metavar='S', help='length in seconds')
+    convert = command('convert', _convert, 'turn a Motive CSV export into a bag')
+    convert.add('file', type=Path)
+    convert.output_bag()
+    predict = command('predict', _predict, 'predict a recording and write a bag of predictions')
+    predict.add('bag', type=Path)
+    predict.config().output_bag()
+    evaluate = command('evaluate', _evaluate, 'compare predictors on a recording')
+    evaluate.add('bag', type=Path)
+    evaluate.config().json()
+    evaluate.add(
+        '--horizon', type=_positive, nargs='+', metavar='S',
+        help='how far ahead to predict, in seconds; default: the configured one',
+    )
+    evaluate.add('-o', '--output', type=Path, help='folder for table, figures and configuration')
+    return parser
+
+
+class _Command:
+    """Options that several commands share."""
+
+    def __init__(self, parser: argparse.ArgumentParser) -> None:
+        self.add = parser.add_argument
+
+    def config(self, default: Path | None = None) -> _Command:
+        self.add(
+            '-c', '--config', type=Path, default=default, required=default is None,
+            help='parameter file (YAML)',
+        )
+        return self
+
+    def json(self) -> _Command:
+        self.add('--json', action='store_true', help='print one JSON object and nothing else')
+        return self
+
+    def output_bag(self) -> _Command:
+        self.add('-o', '--output', type=Path, required=True, help='bag to write (a folder)')
+        return self
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float('inf'):
+        raise argparse.ArgumentTypeError(f'{text} is not a positive number')
+    return value
+
+
+def _whole(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f'{text} is negative')
+    return value
+
+
+def _bar(text: str, unit: str) -> Callable[[float], tqdm]:  # type: ignore[type-arg]
+    """Progress bar; shows itself only on a terminal."""
+    return lambda total: tqdm(total=total, desc=text, unit=unit, disable=None, leave=False)
+
+
+def _simulate(options: argparse.Namespace) -> None:
+    with _bar(options.scenario, 's')(options.duration) as bar:
+        run.simulate(
+            options.scenario, options.seed, options.duration, options.output, bar.update
+        )
+    print(f'{options.output}: {options.scenario}, {options.duration:g} s, seed {options.seed}')
+
+
+def _convert(options: argparse.Namespace) -> None:
+    markers = run.convert(options.file, options.output)
+    missing = 1 - markers.visible.mean()
+    seconds = (markers.stamps[-1] - markers.stamps[0]) / 1e9
+    print(
+        f'{options.output}: {len(markers)} frames, {seconds:.2f} s, {len(markers.labels)} markers, '
+        f'{missing:.1%} of the samples missing'
+    )
+
+
+def _predict(options: argparse.Namespace) -> None:
+    with _bar('predict', 'frame')(0) as bar:
+        counts = run.predict(options.bag, options.config, options.output, _counted(bar))
+    print(f'{options.output}: ' + ', '.join(f'{n} frames {what}' for what, n in counts.items()))
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    with _bar('evaluate', 'frame')(0) as bar:
+        found = run.evaluate(
+            options.bag, options.config, options.horizon, options.output, _counted(bar)
+        )
+    if options.json:
+        summaries = [e.summary() for e in found]
+        print(json.dumps(summaries[0] if len(summaries) == 1 else summaries))
+    else:
+        print('\n\n'.join(run.table(e) for e in found))
+
+
+def _demo(options: argparse.Namespace) -> None:
+    from cloth_predict.nodes.demo import demo  # ROS is needed by this command only
+
+    with _bar('demo', 'frame')(0) as bar:
+        result = demo(options.bag, options.config, options.output, _counted(bar))
+    if options.json:
+        print(json.dumps(result.summary()))
+    else:
+        print(result.text())
+
+
+def _counted(bar: tqdm) -> Callable[[int, int], None]:  # type: ignore[type-arg]
+    def show(done: int, total: int) -> None:
+        bar.total = total
+        bar.update(done)
+
+    return show
+
+
+if __name__ == '__main__':
+    sys.exit(main())

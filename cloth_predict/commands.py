@@ -1,0 +1,122 @@
+"""What each command does, as one call; prints nothing."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import yaml
+
+from cloth_predict import config as configuration
+from cloth_predict import simulate as simulation
+from cloth_predict.association import markers_of_nodes
+from cloth_predict.config import Config
+from cloth_predict.evaluation import METHODS, Evaluation
+from cloth_predict.evaluation import evaluate as compare
+from cloth_predict.formats.bag import Recording, create_bag, write_recording
+from cloth_predict.formats.pointcloud import encode_markers, encode_surface
+from cloth_predict.formats.recording import read
+from cloth_predict.tracker import Tracker
+from cloth_predict.types import MarkerSequence
+
+Progress = Callable[[int, int], None]
+"""Called with what was done since the last call, and the total."""
+
+
+def simulate(
+    scenario: str, seed: int, duration: float, output: Path, progress: Callable[[float], None]
+) -> None:
+    """Make a recording with known truth and write it."""
+    write_recording(output, simulation.simulate(scenario, seed, duration, progress))
+
+
+def convert(source: Path, output: Path) -> MarkerSequence:
+    """Turn a recording of any known format into a bag."""
+    recording = read(source)
+    write_recording(output, recording)
+    return recording.markers
+
+
+def predict(source: Path, config_path: Path, output: Path, progress: Progress) -> Counter[str]:
+    """Write the estimate and the prediction of every frame; returns what became of the frames."""
+    config = configuration.load(config_path)
+    markers = markers_of_nodes(read(source).markers, config, str(source))
+    tracker = Tracker(config)
+    rows, cols = config.model.rows, config.model.cols
+    with create_bag(output, markers.labels) as bag:
+        for k, stamp in enumerate(markers.stamps.tolist()):
+            positions, visible = markers.positions[k], markers.visible[k]
+            points = encode_markers(positions, visible, markers.unlabelled)
+            bag.cloud('/markers', stamp, markers.frame_id, points)
+            outcome = tracker.step(stamp, positions, visible).outcome
+            if tracker.started and outcome != 'late':
+                for topic, surface in (
+                    ('/cloth/estimate', tracker.estimate()),
+                    ('/cloth/prediction', tracker.predict(config.horizon)),
+                ):
+                    cloud = encode_surface(surface, rows, cols)
+                    bag.cloud(topic, surface.stamp, markers.frame_id, cloud)
+            progress(1, len(markers))
+    return tracker.counts
+
+
+def evaluate(
+    source: Path,
+    config_path: Path,
+    horizons: list[float] | None,
+    output: Path | None,
+    progress: Progress,
+) -> list[Evaluation]:
+    """Compare the predictors at each horizon; writes tables and figures into a folder if given."""
+    config = configuration.load(config_path)
+    recording = read(source)
+    markers = markers_of_nodes(recording.markers, config, str(source))
+    reference = reference_of(recording, markers)
+    chosen = horizons or [config.horizon]
+    total = len(chosen) * len(METHODS) * len(markers)
+    found = [
+        compare(markers, config, h, reference, progress=lambda done: progress(done, total))
+        for h in chosen
+    ]
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        for evaluation in found:
+            report(evaluation, config, output, f'_{1e3 * evaluation.horizon:g}ms')
+    return found
+
+
+def reference_of(recording: Recording, markers: MarkerSequence) -> MarkerSequence | None:
+    """Return the true motion of the markers in use, or None where the recording has none."""
+    if recording.truth is None:
+        return None
+    truth = recording.truth.markers(recording.markers)
+    return truth.select([truth.labels.index(label) for label in markers.labels])
+
+
+def report(evaluation: Evaluation, config: Config, output: Path, suffix: str = '') -> None:
+    """Write the table, the figures and the configuration used into a folder."""
+    from cloth_predict import figures  # matplotlib takes half a second to import
+
+    (output / f'table{suffix}.txt').write_text(table(evaluation) + '\n', encoding='utf-8')
+    document = {'/**': {'ros__parameters': configuration.as_mapping(config)}}
+    text = yaml.safe_dump(document, sort_keys=False)
+    (output / 'config.yaml').write_text(text, encoding='utf-8')
+    figures.error_over_time(evaluation, output / f'error{suffix}.png')
+    rows, cols = config.model.rows, config.model.cols
+    figures.snapshots(evaluation, rows, cols, output / f'snapshots{suffix}.png')
+
+
+def table(evaluation: Evaluation) -> str:
+    """Return the comparison as text."""
+    lines = [
+        f'predicted {1e3 * evaluation.horizon:g} ms ahead, {len(evaluation.targets)} frames, '
+        'errors in mm',
+        f'{"method":10} {"RMS":>8} {"free":>8} {"p95":>8} {"max":>8} {"us/frame":>9}',
+    ]
+    for name, s in evaluation.scores.items():
+        numbers = ' '.join(
+            f'{v:8.2f}' for v in (s.rmse_mm, s.rmse_free_mm, s.p95_mm, s.max_mm)
+        )
+        lines.append(f'{name:10} {numbers} {evaluation.us_per_frame[name]:9.0f}')
+    return '\n'.join(lines)
