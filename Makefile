@@ -55,6 +55,10 @@ $(READY): setup.py setup.cfg pyproject.toml
 	$(PYTHON) -m venv $$system $(VENV) && $(VENV)/bin/python $(PIP) -e ".[$$extras]"
 	@touch $@
 
+# The extra by name: colcon needs nothing else of the package.
+COLCON_EXTRA := from importlib.metadata import requires; \
+	print(*(r.split(";")[0] for r in requires("cloth_predict") if "colcon" in r.split(";")[-1]))
+
 # colcon apart from the rest, whose setuptools it would hold back; not where there is one already.
 $(COLCON_READY): setup.py | $(READY)
 	@if ! command -v colcon >/dev/null; then \
@@ -62,6 +66,3 @@ $(COLCON_READY): setup.py | $(READY)
 	  $(PYTHON) -m venv $(COLCON_VENV) && $(COLCON_VENV)/bin/python $(PIP) \
 	    $$($(VENV)/bin/python -c '$(COLCON_EXTRA)') && touch $@; \
 	fi
-
-COLCON_EXTRA := from importlib.metadata import requires; \
-	print(*(r.split(";")[0] for r in requires("cloth_predict") if "colcon" in r.split(";")[-1]))

@@ -38,13 +38,13 @@ setup(
     data_files=data_files(),
     zip_safe=False,
     python_requires='>=3.11',
-    # numpy, scipy, matplotlib, pyyaml, tqdm: no newer than what Ubuntu 24.04 (Jazzy) has.
+    # numpy, scipy, matplotlib, ruamel.yaml, tqdm: no newer than what Ubuntu 24.04 (Jazzy) has.
     install_requires=[
         'filterpy>=2.0',  # 1.4.5 fails with numpy 2
         'matplotlib>=3.6',
         'mcap>=1.2',
         'numpy>=1.26',
-        'pyyaml>=6.0',
+        'ruamel.yaml>=0.17.21',
         'rosbags>=0.11',
         'scipy>=1.11',
         'threadpoolctl>=3.1',
@@ -54,7 +54,7 @@ setup(
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': ['hypothesis>=6.100', 'mcap-ros2-support>=0.5.5', 'psutil>=5.9', 'pytest>=7.4'],
         # Bounded: newer linters find new faults in unchanged code.
-        'lint': ['mypy>=2.4,<2.5', 'ruff>=0.17,<0.18', 'types-PyYAML>=6.0'],
+        'lint': ['mypy>=2.4,<2.5', 'ruff>=0.17,<0.18'],
         # Not for the same environment as the rest: colcon-core needs setuptools<80.
         'colcon': [
             'colcon-core',

@@ -6,8 +6,6 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-import yaml
-
 from cloth_predict import config as configuration
 from cloth_predict import simulate as simulation
 from cloth_predict.association import markers_of_nodes
@@ -99,9 +97,7 @@ def report(evaluation: Evaluation, config: Config, output: Path, suffix: str = '
     from cloth_predict import figures  # matplotlib takes half a second to import
 
     (output / f'table{suffix}.txt').write_text(table(evaluation) + '\n', encoding='utf-8')
-    document = {'/**': {'ros__parameters': configuration.as_mapping(config)}}
-    text = yaml.safe_dump(document, sort_keys=False)
-    (output / 'config.yaml').write_text(text, encoding='utf-8')
+    (output / 'config.yaml').write_text(configuration.dump(config), encoding='utf-8')
     figures.error_over_time(evaluation, output / f'error{suffix}.png')
     rows, cols = config.model.rows, config.model.cols
     figures.snapshots(evaluation, rows, cols, output / f'snapshots{suffix}.png')

@@ -11,10 +11,12 @@ import difflib
 import math
 import typing
 from dataclasses import dataclass, field
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
-import yaml
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from cloth_predict.errors import ConfigError
 
@@ -198,16 +200,21 @@ def build(values: dict[str, Any], source: str) -> Config:
 def load(path: Path) -> Config:
     """Read a ROS parameter file: the parameters under `/**: ros__parameters:`."""
     try:
-        document = yaml.safe_load(path.read_text(encoding='utf-8'))
+        document = parse_yaml(path.read_text(encoding='utf-8'))
     except OSError as error:
         raise ConfigError(f'{path}: {error.strerror}') from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f'{path}: not YAML: {" ".join(str(error).split())}') from None
     try:
         values = document['/**']['ros__parameters']
     except (TypeError, KeyError):
         raise ConfigError(f"{path}: no '/**: ros__parameters:' at the top") from None
     return build({} if values is None else values, str(path))
+
+
+def parse_yaml(text: str) -> Any:
+    """Read YAML as ROS does: version 1.2, in which 1e-3 is a number."""
+    return YAML(typ='safe').load(text)
 
 
 def nest(flat: dict[str, Any]) -> dict[str, Any]:
@@ -292,8 +299,8 @@ def _check_together(config: Config, source: str) -> None:
         raise ConfigError(f'{source}: anchors.nodes: every node is driven, nothing is left to predict')
 
 
-def as_mapping(config: Config) -> dict[str, Any]:
-    """Return nested mappings that `build` turns into the same configuration.
+def dump(config: Config) -> str:
+    """Return a ROS parameter file that `load` turns into the same configuration.
 
     Empty lists are left out: a ROS parameter file cannot hold one.
     """
@@ -304,4 +311,8 @@ def as_mapping(config: Config) -> dict[str, Any]:
             return {name: inner for name, inner in pairs if inner != []}
         return list(value) if isinstance(value, tuple) else value
 
-    return typing.cast('dict[str, Any]', plain(config))
+    text = StringIO()
+    yaml = YAML()
+    yaml.default_flow_style = None
+    yaml.dump({'/**': {'ros__parameters': plain(config)}}, text)
+    return text.getvalue()

@@ -150,7 +150,7 @@ def evaluate(
     markers = in_order(markers)
     predicted, seconds = {}, {}
     for name, make in (METHODS if methods is None else methods).items():
-        predicted[name], seconds[name] = _predict_all(make(config), markers, horizon, progress)
+        predicted[name], seconds[name] = predict_all(make(config), markers, horizon, progress)
     return judge(markers, config, horizon, reference or markers, predicted, seconds)
 
 
@@ -207,12 +207,13 @@ def in_order(markers: MarkerSequence) -> MarkerSequence:
     )
 
 
-def _predict_all(
+def predict_all(
     predictor: Predictor,
     markers: MarkerSequence,
     horizon: float,
-    progress: Callable[[int], None],
+    progress: Callable[[int], None] = lambda frames: None,
 ) -> tuple[FloatArray, float]:
+    """Predictions [m] after each frame, (frames, markers, 3), and the seconds it took."""
     predicted = np.empty(markers.positions.shape)
     begin = time.perf_counter()
     for k, stamp in enumerate(markers.stamps.tolist()):

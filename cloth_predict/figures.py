@@ -13,7 +13,7 @@ from cloth_predict.types import FloatArray
 
 mpl.use('Agg')
 
-COLOURS = {'hold': '0.6', 'kf_cv': 'tab:blue', 'kf_ca': 'tab:cyan', 'ekf': 'tab:red'}
+COLOURS = {'hold': '0.6', 'kf_cv': 'tab:blue', 'kf_ca': 'tab:cyan', 'ekf': 'tab:red', 'ekf_live': 'darkred'}
 
 
 def error_over_time(evaluation: Evaluation, path: Path) -> None:
@@ -62,7 +62,7 @@ def snapshots(
         axes = figure.add_subplot(1, count, place + 1, projection='3d')
         if held is not None:
             _draw_grid(axes, held[k], rows, cols, '0.75', 'hold')
-        _draw_grid(axes, actual[k], rows, cols, 'tab:blue', 'measured')
+        _draw_grid(axes, actual[k], rows, cols, 'tab:blue', 'actual')
         _draw_grid(axes, predicted[k], rows, cols, 'tab:red', 'predicted')
         axes.set_box_aspect(np.maximum(high - low, 0.05)[[0, 2, 1]])
         axes.set_xlim(low[0], high[0])

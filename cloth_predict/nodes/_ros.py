@@ -1,0 +1,212 @@
+"""What the nodes share: parameters to configuration, arrays to messages, spinning, diagnostics."""
+
+from __future__ import annotations
+
+import array
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
+from threadpoolctl import threadpool_limits
+
+from cloth_predict.config import Config, build, nest, parse_yaml
+from cloth_predict.errors import ClothPredictError
+from cloth_predict.formats.pointcloud import fields_of
+
+SENSOR_QOS = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+"""Latest data over complete data: a late frame is of no use to a projector."""
+
+INPUT_QOS = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+"""A filter wants every frame: the queue outlasts the fraction of a second for which Fast DDS blocks
+a publisher while a new subscriber is being discovered."""
+
+OVERRIDABLE = QoSOverridingOptions.with_default_policies()
+ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+
+
+class ConfiguredNode(Node):
+    """A node whose parameters are the project's configuration, checked as a whole at the start."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
+        flat = {k: p.value for k, p in self.get_parameters_by_prefix('').items()}
+        flat |= _typed_overrides(sys.argv, flat)
+        known = {k: v for k, v in flat.items() if k.split('.')[0] not in ROS_PARAMETERS}
+        try:
+            self.config: Config = build(nest(known), self.get_name())
+        except ClothPredictError:
+            self.destroy_node()
+            raise
+
+    def publisher(self, kind: type, topic: str) -> Any:
+        """Sensor-data publisher whose quality of service can be overridden by parameters."""
+        return self.create_publisher(kind, topic, SENSOR_QOS, qos_overriding_options=OVERRIDABLE)
+
+    def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
+        """Subscribe to sensor data; the quality of service can be overridden by parameters."""
+        self.create_subscription(
+            kind, topic, callback, INPUT_QOS, qos_overriding_options=OVERRIDABLE
+        )
+
+
+def _typed_overrides(arguments: list[str], flat: dict[str, Any]) -> dict[str, Any]:
+    """Values of `-p name:=value` arguments that ROS dropped.
+
+    Where a parameter file gives the same parameter another type, rcl keeps both values and rclpy
+    takes the one of the simpler type: `-p model.rows:=three` would be ignored in silence.
+    """
+    dropped = {}
+    for flag, rule in pairwise(arguments):
+        name, assigned, text = rule.partition(':=')
+        name = name.rpartition(':')[2]
+        if flag in ('-p', '--param') and assigned and name in flat:
+            value = parse_yaml(text)
+            if isinstance(value, (str, int, float)) and value != flat[name]:
+                dropped[name] = value
+    return dropped
+
+
+def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> int:
+    """Spin a node until Ctrl-C, SIGTERM or its own end; returns the exit code.
+
+    A configuration that cannot be used is one line on standard error and exit code 1.
+    """
+    try:
+        rclpy.init(args=args)
+    except RuntimeError as error:  # such as a parameter file that rcl cannot parse
+        return _fatal(error)
+    node = None
+    try:
+        with threadpool_limits(1):
+            node = make()
+            spin(node, lambda: not getattr(node, 'finished', False))
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except ClothPredictError as error:
+        return _fatal(error)
+    except RuntimeError:
+        if rclpy.ok():  # else a signal took the context away in the middle of a call
+            raise
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _fatal(error: Exception) -> int:
+    print(f'[FATAL] {" ".join(str(error).split())}', file=sys.stderr)
+    return 1
+
+
+def spin(node: Node, going: Callable[[], bool]) -> None:
+    """Process callbacks while `going`; short time-outs, so that a signal is noticed at once."""
+    executor = SingleThreadedExecutor(context=node.context)
+    executor.add_node(node)
+    try:
+        while node.context.ok() and going():
+            executor.spin_once(timeout_sec=0.05)
+    finally:
+        executor.shutdown()
+
+
+def nanoseconds(stamp: Time) -> int:
+    """Return a message's time as integer nanoseconds."""
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def to_time(stamp: int) -> Time:
+    """Return integer nanoseconds as a message's time."""
+    sec, nanosec = divmod(stamp, 10**9)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def cloud(stamp: int, frame_id: str, points: NDArray[np.void]) -> PointCloud2:
+    """Build a PointCloud2 of structured points, shape (width,) or (height, width)."""
+    grid = np.atleast_2d(points)
+    height, width = grid.shape
+    step = points.dtype.itemsize
+    return PointCloud2(
+        header=Header(stamp=to_time(stamp), frame_id=frame_id),
+        height=height,
+        width=width,
+        fields=[
+            PointField(name=name, offset=offset, datatype=datatype, count=count)
+            for name, offset, datatype, count in fields_of(points.dtype)
+        ],
+        point_step=step,
+        row_step=step * width,
+        # an array.array is taken as it is; a numpy array would be copied number by number
+        data=array.array('B', grid.tobytes()),
+        is_dense=True,
+    )
+
+
+class Diagnostics:
+    """Publishes a node's health once per second of real time."""
+
+    def __init__(self, node: Node, values: Callable[[], dict[str, object]]) -> None:
+        """`values` gives what the node itself has to say, read at each publication."""
+        self.counts: Counter[str] = Counter()
+        self._node, self._values = node, values
+        self._seen: Counter[str] = Counter()
+        self._latencies: deque[float] = deque(maxlen=1000)
+        self._frames = 0
+        self._last = time.monotonic()
+        self._publisher = node.create_publisher(DiagnosticArray, 'diagnostics', 10)
+        node.create_timer(1.0, self._publish, clock=STEADY)
+
+    def frame(self, latency: float) -> None:
+        """Count a frame that took `latency` [s] from its arrival to the last publication."""
+        self._frames += 1
+        self._latencies.append(latency)
+
+    def drop(self, reason: str, text: str) -> None:
+        """Count a frame that cannot be used, and log why at most once per second."""
+        self.counts[reason] += 1
+        self._node.get_logger().warning(f'frame dropped: {text}', throttle_duration_sec=1.0)
+
+    def _publish(self) -> None:
+        now = time.monotonic()
+        rate, self._frames = self._frames / (now - self._last), 0
+        self._last = now
+        values: dict[str, object] = {'rate_hz': f'{rate:.1f}'}
+        if self._latencies:
+            for percent in (50, 99):
+                value = 1e3 * np.percentile(self._latencies, percent)
+                values[f'latency_p{percent}_ms'] = f'{value:.2f}'
+            self._latencies.clear()
+        values.update({f'{k}_frames': v for k, v in sorted(self.counts.items())})
+        values.update(self._values())
+        fresh, self._seen = self.counts - self._seen, self.counts.copy()
+        level, text = DiagnosticStatus.OK, 'running'
+        if rate == 0:
+            level, text = DiagnosticStatus.STALE, 'no frames'
+        if fresh:
+            level = DiagnosticStatus.WARN
+            text = 'frames dropped: ' + ', '.join(f'{v} {k}' for k, v in fresh.items())
+        status = DiagnosticStatus(
+            level=level,
+            name=self._node.get_fully_qualified_name(),
+            message=text,
+            hardware_id='cloth_predict',
+            values=[KeyValue(key=k, value=str(v)) for k, v in values.items()],
+        )
+        stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(DiagnosticArray(header=Header(stamp=stamp), status=[status]))
