@@ -19,8 +19,8 @@ def markers_of_nodes(sequence: MarkerSequence, config: Config, source: str) -> M
     if len(sequence.labels) != nodes:
         raise FormatError(
             f'{source}: {len(sequence.labels)} markers ({_listed(sequence.labels)}) do not fit '
-            f'model.rows x model.cols = {config.model.rows} x {config.model.cols} = {nodes} nodes; '
-            f'choose the markers with the parameter labels'
+            f'model.rows x model.cols = {config.model.rows} x {config.model.cols} = {nodes} '
+            f'nodes; choose the markers with the parameter labels'
         )
     return sequence
 

@@ -45,7 +45,9 @@ def _parser() -> argparse.ArgumentParser:
         added.set_defaults(call=call)
         return _Command(added)
 
-    demo = command('demo', _demo, 'run the live graph on a recording and show how well it predicts')
+    demo = command(
+        'demo', _demo, 'run the live graph on a recording and show how well it predicts'
+    )
     demo.config(find('config/towel.yaml')).json()
     demo.add('--bag', type=Path, default=find('bags/towel_fan'), help='recording to replay')
     demo.add('-o', '--output', type=Path, default=Path('out/demo'), help='folder for the results')
@@ -64,7 +66,10 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add('bag', type=Path)
     evaluate.config().json()
     evaluate.add(
-        '--horizon', type=_positive, nargs='+', metavar='S',
+        '--horizon',
+        type=_positive,
+        nargs='+',
+        metavar='S',
         help='how far ahead to predict, in seconds; default: the configured one',
     )
     evaluate.add('-o', '--output', type=Path, help='folder for table, figures and configuration')
@@ -79,7 +84,11 @@ class _Command:
 
     def config(self, default: Path | None = None) -> _Command:
         self.add(
-            '-c', '--config', type=Path, default=default, required=default is None,
+            '-c',
+            '--config',
+            type=Path,
+            default=default,
+            required=default is None,
             help='parameter file (YAML)',
         )
         return self
@@ -107,16 +116,14 @@ def _whole(text: str) -> int:
     return value
 
 
-def _bar(text: str, unit: str) -> Callable[[float], tqdm]:  # type: ignore[type-arg]
+def _bar(text: str, unit: str) -> Callable[[float], tqdm]:
     """Progress bar; shows itself only on a terminal."""
     return lambda total: tqdm(total=total, desc=text, unit=unit, disable=None, leave=False)
 
 
 def _simulate(options: argparse.Namespace) -> None:
     with _bar(options.scenario, 's')(options.duration) as bar:
-        run.simulate(
-            options.scenario, options.seed, options.duration, options.output, bar.update
-        )
+        run.simulate(options.scenario, options.seed, options.duration, options.output, bar.update)
     print(f'{options.output}: {options.scenario}, {options.duration:g} s, seed {options.seed}')
 
 
@@ -125,8 +132,8 @@ def _convert(options: argparse.Namespace) -> None:
     missing = 1 - markers.visible.mean()
     seconds = (markers.stamps[-1] - markers.stamps[0]) / 1e9
     print(
-        f'{options.output}: {len(markers)} frames, {seconds:.2f} s, {len(markers.labels)} markers, '
-        f'{missing:.1%} of the samples missing'
+        f'{options.output}: {len(markers)} frames, {seconds:.2f} s, {len(markers.labels)} markers'
+        f', {missing:.1%} of the samples missing'
     )
 
 
@@ -159,7 +166,7 @@ def _demo(options: argparse.Namespace) -> None:
         print(result.text())
 
 
-def _counted(bar: tqdm) -> Callable[[int, int], None]:  # type: ignore[type-arg]
+def _counted(bar: tqdm) -> Callable[[int, int], None]:
     def show(done: int, total: int) -> None:
         bar.total = total
         bar.update(done)

@@ -111,8 +111,6 @@ def table(evaluation: Evaluation) -> str:
         f'{"method":10} {"RMS":>8} {"free":>8} {"p95":>8} {"max":>8} {"us/frame":>9}',
     ]
     for name, s in evaluation.scores.items():
-        numbers = ' '.join(
-            f'{v:8.2f}' for v in (s.rmse_mm, s.rmse_free_mm, s.p95_mm, s.max_mm)
-        )
+        numbers = ' '.join(f'{v:8.2f}' for v in (s.rmse_mm, s.rmse_free_mm, s.p95_mm, s.max_mm))
         lines.append(f'{name:10} {numbers} {evaluation.us_per_frame[name]:9.0f}')
     return '\n'.join(lines)

@@ -1,7 +1,7 @@
 """The configuration: one tree of frozen dataclasses, the only source of defaults.
 
-YAML files, ROS parameters and docs/parameters.md derive from it. `build` is strict: an unknown key,
-a wrong type or a value outside its range is an error that names the parameter.
+YAML files, ROS parameters and docs/parameters.md derive from it. `build` is strict: an unknown
+key, a wrong type or a value outside its range is an error that names the parameter.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ class ModelConfig:
         'rest lengths from width and height, or from the distances measured at the start',
         choices=('dimensions', 'measured'),
     )
-    mass: float = param(0.34, 'mass of the whole surface, shared evenly by the nodes', 'kg', above=0)
+    mass: float = param(
+        0.34, 'mass of the whole surface, shared evenly by the nodes', 'kg', above=0
+    )
     stiffness_structural: float = param(60.0, 'springs to the 4 neighbours', 'N/m', low=0)
     stiffness_shear: float = param(60.0, 'springs to the 4 diagonal neighbours', 'N/m', low=0)
     stiffness_flexion: float = param(60.0, 'springs to the nodes 2 away', 'N/m', low=0)
@@ -79,8 +81,10 @@ class AnchorsConfig:
         choices=('fixed', 'constant_velocity', 'constant_acceleration'),
     )
     process_noise: float = param(
-        0.0, 'spectral density of the white noise that drives the motion (0 for fixed)',
-        'm^2/s^(2k+1)', low=0,
+        0.0,
+        'spectral density of the white noise that drives the motion (0 for fixed)',
+        'm^2/s^(2k+1)',
+        low=0,
     )
 
 
@@ -89,7 +93,9 @@ class ForceConfig:
     """The force that the model does not know (wind, touch), as a state of the filter."""
 
     kind: str = param(
-        'none', 'one force per free node as a state, or none', choices=('none', 'ornstein_uhlenbeck')
+        'none',
+        'one force per free node as a state, or none',
+        choices=('none', 'ornstein_uhlenbeck'),
     )
     sigma: float = param(0.1, 'standard deviation of each component of the force', 'N', above=0)
     tau: float = param(0.3, 'time over which the force forgets', 's', above=0)
@@ -117,7 +123,9 @@ class FilterConfig:
         1.0, 'interval between frames after which the filter starts anew', 's', above=0
     )
     max_backstep: float = param(
-        0.5, 'a stamp this far back is a new start (a looped bag), a nearer one a late frame', 's',
+        0.5,
+        'a stamp this far back is a new start (a looped bag), a nearer one a late frame',
+        's',
         above=0,
     )
 
@@ -267,22 +275,20 @@ def _scalar(kind: type, value: Any, limits: typing.Mapping[str, Any], name: str)
     if kind is str and limits['choices'] and value not in limits['choices']:
         raise ConfigError(f'{name}: {value!r} is not one of {", ".join(limits["choices"])}')
     if kind in (int, float):
-        _check_range(float(value), limits, name, value)
+        _check_range(value, limits, name)
     return kind(value)
 
 
-def _check_range(
-    number: float, limits: typing.Mapping[str, Any], name: str, value: Any
-) -> None:
+def _check_range(number: Any, limits: typing.Mapping[str, Any], name: str) -> None:
     if not math.isfinite(number):
-        raise ConfigError(f'{name}: {value} is not finite')
+        raise ConfigError(f'{name}: {number} is not finite')
     for bad, words in (
         (limits['low'] is not None and number < limits['low'], f'at least {limits["low"]}'),
         (limits['high'] is not None and number > limits['high'], f'at most {limits["high"]}'),
         (limits['above'] is not None and number <= limits['above'], f'above {limits["above"]}'),
     ):
         if bad:
-            raise ConfigError(f'{name}: {value} is out of range, must be {words}')
+            raise ConfigError(f'{name}: {number} is out of range, must be {words}')
 
 
 def _check_together(config: Config, source: str) -> None:
@@ -296,7 +302,9 @@ def _check_together(config: Config, source: str) -> None:
     if len(set(config.anchors.nodes)) != len(config.anchors.nodes):
         raise ConfigError(f'{source}: anchors.nodes: a node is listed twice')
     if len(config.anchors.nodes) == nodes:
-        raise ConfigError(f'{source}: anchors.nodes: every node is driven, nothing is left to predict')
+        raise ConfigError(
+            f'{source}: anchors.nodes: every node is driven, nothing is left to predict'
+        )
 
 
 def dump(config: Config) -> str:

@@ -27,7 +27,7 @@ class Predictor(Protocol):
         """Take a frame: stamp [ns], positions [m], shape (markers, 3), visible, (markers,)."""
 
     def positions(self, horizon: float) -> FloatArray:
-        """Positions [m], shape (markers, 3), `horizon` [s] after the last frame; NaN if unknown."""
+        """Positions [m], shape (markers, 3), `horizon` [s] after the last frame, or NaN."""
 
 
 class Hold:

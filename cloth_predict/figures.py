@@ -13,7 +13,13 @@ from cloth_predict.types import FloatArray
 
 mpl.use('Agg')
 
-COLOURS = {'hold': '0.6', 'kf_cv': 'tab:blue', 'kf_ca': 'tab:cyan', 'ekf': 'tab:red', 'ekf_live': 'darkred'}
+COLOURS = {
+    'hold': '0.6',
+    'kf_cv': 'tab:blue',
+    'kf_ca': 'tab:cyan',
+    'ekf': 'tab:red',
+    'ekf_live': 'darkred',
+}
 
 
 def error_over_time(evaluation: Evaluation, path: Path) -> None:

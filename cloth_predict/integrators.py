@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from cloth_predict.types import Dynamics, FloatArray, Integrator, StiffDynamics
+from cloth_predict.types import Dynamics, FloatArray, Integrator, Pull, StiffDynamics
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,13 @@ class RungeKutta:
             np.asarray(identity + dt * _combine(self.tableau.b, slope_jacs)),
         )
 
+    def step_pull(
+        self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
+    ) -> tuple[FloatArray, Pull]:
+        """State after dt [s] and the map of rows W to W F."""
+        after, step_jac = self.step_jac(model, x, u, dt)
+        return after, lambda rows: rows @ step_jac
+
 
 def _combine(weights: tuple[float, ...], terms: list[FloatArray]) -> FloatArray | float:
     total: FloatArray | float = 0.0
@@ -98,8 +105,9 @@ class ImplicitEuler:
     ) -> tuple[FloatArray, FloatArray]:
         """State after dt [s] and its derivative.
 
-        Differentiating (I - dt J~(x)) dx = dt f(x) gives F = I + (I - dt J~)^-1 dt (J + d(J~ dx)/dx):
-        the matrix depends on the state too, and its change along dx belongs to the Jacobian.
+        Differentiating (I - dt J~(x)) dx = dt f(x) gives
+        F = I + (I - dt J~)^-1 dt (J + d(J~ dx)/dx): the matrix depends on the state too, and its
+        change along dx belongs to the Jacobian.
         """
         at = cast('StiffDynamics', model).linearise(x, u)
         solve = at.solver(dt)
@@ -107,6 +115,16 @@ class ImplicitEuler:
         step_jac = solve(dt * at.step_slope(change).toarray())
         step_jac.flat[:: model.dim_x + 1] += 1.0
         return x + change, step_jac
+
+    def step_pull(
+        self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
+    ) -> tuple[FloatArray, Pull]:
+        """State after dt [s] and the map of rows W to W F: a solve, without ever making F."""
+        at = cast('StiffDynamics', model).linearise(x, u)
+        solve = at.solver(dt)
+        change = solve(dt * at.slope)
+        slope = dt * at.step_slope(change).T
+        return x + change, lambda rows: rows + (slope @ solve.transposed(rows.T)).T
 
 
 INTEGRATORS: dict[str, Integrator] = {

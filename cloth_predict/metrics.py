@@ -26,9 +26,7 @@ def score(errors: FloatArray, counted: BoolArray, free: BoolArray) -> Score:
     of_free = 1e3 * errors[:, free][counted[:, free]]
     if not every.size:
         return Score(*[float('nan')] * 4)
-    return Score(
-        rms(every), rms(of_free), float(np.percentile(every, 95)), float(every.max())
-    )
+    return Score(rms(every), rms(of_free), float(np.percentile(every, 95)), float(every.max()))
 
 
 def rms(values: FloatArray) -> float:

@@ -10,8 +10,8 @@ from pathlib import Path
 def find(name: str) -> Path:
     """Path of a shipped file such as `config/towel.yaml`.
 
-    A source tree comes first, then the prefixes of this Python and of ROS. The name itself where it
-    is in none of them, so that the error names it.
+    A source tree comes first, then the prefixes of this Python and of ROS. The name itself where
+    it is in none of them, so that the error names it.
     """
     prefixes = [sys.prefix, *os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)]
     folders = [Path(__file__).parent.parent]

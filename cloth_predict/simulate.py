@@ -81,7 +81,7 @@ class Fan:
         angle = np.arccos(np.clip(ray @ aim, -1.0, 1.0))
         rise = 1.0 - np.exp(-time)  # the fan spins up, so that the cloth starts from rest
         speed = rise * self.speed * np.exp(-0.5 * (angle / self.spread) ** 2)
-        return ray * (speed * (1.0 + self.gusts(position, time)))[:, None]
+        return np.asarray(ray * (speed * (1.0 + self.gusts(position, time)))[:, None])
 
 
 class Scene:
@@ -128,7 +128,7 @@ class Scene:
         normal = area / size[:, None]
         through = np.einsum('ni,ni->n', normal, self.fan(position, float(x[-1])) - velocity)
         force = (0.5 * AIR_DENSITY * size * np.abs(through) * through)[:, None] * normal
-        return force[self.cloth.free]
+        return np.asarray(force[self.cloth.free])
 
 
 def vertex_areas(grid: FloatArray) -> FloatArray:
@@ -175,7 +175,7 @@ def settled(cloth: MassSpring, hung: FloatArray, start: FloatArray) -> FloatArra
 def run(
     scene: Scene, start: FloatArray, times: FloatArray, step: float, progress: Progress
 ) -> FloatArray:
-    """Positions of all nodes [m] at times [s], shape (times, nodes, 3), by steps of at most `step`."""
+    """Positions [m] of all nodes at times [s], (times, nodes, 3), by steps of at most `step`."""
     x = np.append(np.concatenate([start[scene.cloth.free].ravel(), np.zeros(scene.dim_x // 2)]), 0)
     method = RungeKutta(RK4)
     frames = [scene.cloth.surface(x[:-1], scene.hung)[0]]
@@ -193,7 +193,7 @@ def run(
 def towel_fan(
     rng: np.random.Generator, duration: float, progress: Progress, step: float = 1e-3
 ) -> Truth:
-    """A 0.51 x 0.80 m towel of 0.34 kg hung by its top row before a swinging fan, 17 x 13 nodes."""
+    """A 0.51 x 0.80 m towel of 0.34 kg hung by its top row before a fan, 17 x 13 nodes."""
     shape = np.zeros((17, 13, 3))
     shape[..., 0] = np.linspace(0.0, 0.51, 13)
     shape[..., 1] = 1.5 - np.linspace(0.0, 0.80, 17)[:, None]
@@ -210,7 +210,7 @@ def towel_fan(
 def falling_cloth(
     rng: np.random.Generator, duration: float, progress: Progress, step: float = 1e-3
 ) -> Truth:
-    """A 21 x 21 cloth of 1.5 m, held level, then dropped from its top row (Gomes 2016, sec. 3.3)."""
+    """A 21 x 21 cloth of 1.5 m, dropped from level, held by a row (Gomes 2016, section 3.3)."""
     shape = np.zeros((21, 21, 3))
     shape[..., 0] = np.linspace(0.0, 1.5, 21)
     shape[..., 1] = 2.0

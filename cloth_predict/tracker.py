@@ -7,17 +7,19 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import spsolve
 
-from cloth_predict.config import Config, ModelConfig
+from cloth_predict.assembly import (
+    build_mass_spring,
+    complete,
+    disturbed,
+    first_belief,
+    process_noise,
+)
+from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.kinematic import KinematicTrack
 from cloth_predict.integrators import INTEGRATORS
-from cloth_predict.models.disturbed import Disturbed
-from cloth_predict.models.mass_spring import MassSpring
-from cloth_predict.models.springs import Springs, grid_pairs
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import BoolArray, FloatArray, Gaussian, Innovation, IntArray, Surface
 
@@ -103,42 +105,24 @@ class Tracker:
 
     def _start(self, stamp: int, positions: FloatArray, visible: BoolArray, outcome: str) -> Step:
         self._stamp = self._belief = None
-        driven = list(self.config.anchors.nodes)
+        config, driven = self.config, list(self.config.anchors.nodes)
         if visible.sum() < min(FEWEST_TO_START, self.nodes) or not visible[driven].all():
             return Step('waiting')
-        settings, anchors = self.config.filter, self.config.anchors
-        filled, spread = complete(self.config.model, positions, visible)
-        mesh = build_mass_spring(self.config, filled)
-        force_noise: list[float] = []
-        self._mesh, self._model = mesh, mesh
-        if self.config.force.kind != 'none':
-            self._model = Disturbed(mesh, self.config.force.tau)
-            sigma, tau = self.config.force.sigma, self.config.force.tau
-            force_noise = [2 * sigma**2 / tau] * (3 * len(mesh.free))
+        filled, spread = complete(config.model, positions, visible)
+        self._mesh = build_mass_spring(config, filled)
+        self._model = disturbed(config, self._mesh)
+        self._noise = process_noise(config, self._mesh)
         self._tracks = [
             KinematicTrack(
-                anchors.motion,
-                anchors.process_noise,
-                settings.measurement_noise,
+                config.anchors.motion,
+                config.anchors.process_noise,
+                config.filter.measurement_noise,
                 filled[node],
-                settings.initial_velocity,
+                config.filter.initial_velocity,
             )
-            for node in driven
+            for node in self._mesh.driven
         ]
-        size = 3 * len(mesh.free)
-        self._noise = np.concatenate(
-            [np.zeros(size), np.full(size, settings.process_noise), force_noise]
-        )
-        variance = np.concatenate(
-            [
-                np.repeat((settings.measurement_noise + spread[mesh.free]) ** 2, 3),
-                np.full(size, settings.initial_velocity**2),
-                np.full(len(force_noise), self.config.force.sigma**2),
-            ]
-        )
-        mean = np.zeros(len(variance))
-        mean[:size] = filled[mesh.free].ravel()
-        self._belief = Gaussian(mean, np.diag(variance))
+        self._belief = first_belief(config, self._mesh, filled, spread)
         self._stamp = stamp
         return Step(outcome)
 
@@ -195,53 +179,3 @@ class Tracker:
         return Surface(
             self._stamp + round(ahead * NANOSECONDS), position, velocity, acceleration, sigma
         )
-
-
-def rest_shape(model: ModelConfig) -> FloatArray:
-    """Flat grid at rest [m], shape (nodes, 3): rows go down (-y), columns to the right (+x)."""
-    x = np.linspace(0.0, model.width, model.cols) if model.cols > 1 else np.zeros(1)
-    y = -np.linspace(0.0, model.height, model.rows) if model.rows > 1 else np.zeros(1)
-    grid = np.zeros((model.rows, model.cols, 3))
-    grid[..., 0], grid[..., 1] = x, y[:, None]
-    return grid.reshape(-1, 3)
-
-
-def build_mass_spring(config: Config, surface: FloatArray) -> MassSpring:
-    """Build the configured model; `surface` [m], shape (nodes, 3), gives measured rest lengths."""
-    model = config.model
-    families = grid_pairs(model.rows, model.cols)
-    pairs = np.concatenate(list(families.values()))
-    shape = rest_shape(model) if model.rest_length == 'dimensions' else surface
-    rest_length = np.linalg.norm(shape[pairs[:, 0]] - shape[pairs[:, 1]], axis=1)
-    stiffness = np.concatenate(
-        [np.full(len(p), getattr(model, f'stiffness_{name}')) for name, p in families.items()]
-    )
-    nodes = model.rows * model.cols
-    springs = Springs(pairs, stiffness, np.full(len(pairs), model.damping), rest_length)
-    mass = np.full(nodes, model.mass / nodes)
-    return MassSpring(springs, mass, list(config.anchors.nodes), np.array(model.gravity))
-
-
-def complete(
-    model: ModelConfig, positions: FloatArray, visible: BoolArray
-) -> tuple[FloatArray, FloatArray]:
-    """Fill in the nodes that are not visible by the mean of their neighbours.
-
-    Returns positions [m], shape (nodes, 3), and a standard deviation [m], shape (nodes,): zero
-    where measured, the length of the shortest side of a cell where filled in.
-    """
-    spread = np.zeros(len(positions))
-    if visible.all():
-        return positions, spread
-    pairs = grid_pairs(model.rows, model.cols)['structural']
-    i, j = pairs.T
-    graph = sparse.coo_array((np.ones(len(pairs)), (i, j)), shape=(len(positions),) * 2)
-    laplacian = sparse.csr_array(sparse.csgraph.laplacian(graph + graph.T))
-    hidden = np.flatnonzero(~visible)
-    seen = np.flatnonzero(visible)
-    right = -(laplacian[hidden][:, seen] @ positions[seen])
-    filled = positions.copy()
-    filled[hidden] = spsolve(sparse.csc_array(laplacian[hidden][:, hidden]), right).reshape(-1, 3)
-    shape = rest_shape(model)
-    spread[hidden] = np.linalg.norm(shape[i] - shape[j], axis=1).min()
-    return filled, spread

@@ -18,6 +18,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 Solver: TypeAlias = Callable[[FloatArray], FloatArray]
+Pull: TypeAlias = Callable[[FloatArray], FloatArray]
 
 UNLABELLED_PREFIXES = ('unlabeled', 'unlabelled')
 
@@ -140,6 +141,16 @@ class Dynamics(Protocol):
         """Derivative of f with respect to x, shape (dim_x, dim_x)."""
 
 
+class StepSolver(Protocol):
+    """Solves with N = I - dt J~ and with its transpose."""
+
+    def __call__(self, b: FloatArray) -> FloatArray:
+        """Return y of N y = b; b has shape (dim_x,) or (dim_x, m)."""
+
+    def transposed(self, b: FloatArray) -> FloatArray:
+        """Return y of N' y = b; b has shape (dim_x, m)."""
+
+
 class Linearised(Protocol):
     """A model at one state, as an implicit step needs it.
 
@@ -151,8 +162,8 @@ class Linearised(Protocol):
     def slope(self) -> FloatArray:
         """Time derivative f, shape (dim_x,)."""
 
-    def solver(self, dt: float) -> Solver:
-        """Return y(b) that solves (I - dt J~) y = b; b has shape (dim_x,) or (dim_x, m)."""
+    def solver(self, dt: float) -> StepSolver:
+        """Return the solver of N = I - dt J~."""
 
     def step_slope(self, w: FloatArray) -> sparse.csr_array:
         """Derivative of f(x) + J~(x) w with respect to x for a fixed w, shape (dim_x, dim_x)."""
@@ -175,6 +186,11 @@ class Integrator(Protocol):
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
     ) -> tuple[FloatArray, FloatArray]:
         """State after dt [s] and its derivative F with respect to x, shape (dim_x, dim_x)."""
+
+    def step_pull(
+        self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
+    ) -> tuple[FloatArray, Pull]:
+        """State after dt [s] and the map of rows W, shape (m, dim_x), to W F."""
 
 
 class Observation(Protocol):

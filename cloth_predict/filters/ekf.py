@@ -1,4 +1,4 @@
-"""Extended Kalman filter with full covariance on the discrete step (Gomes 2016, chapters 4 and 6)."""
+"""Extended Kalman filter with full covariance on the discrete step (Gomes 2016, chapter 6)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cloth_predict.types import (
 
 @dataclass(frozen=True)
 class ExtendedKalmanFilter:
-    """EKF whose F is the exact Jacobian of the step that moves the mean, not the continuous one."""
+    """EKF whose F is the exact Jacobian of the step that moves the mean."""
 
     integrator: Integrator
 
@@ -46,15 +46,15 @@ class ExtendedKalmanFilter:
         The same as as many calls of `predict`, but the rows W are pulled back through the steps
         (W <- W F) instead of the whole covariance being pushed forward.
         """
-        mean, step_jacs = belief.mean, []
+        mean, pulls = belief.mean, []
         for u in inputs:
-            mean, step_jac = self.integrator.step_jac(model, mean, u, dt)
-            step_jacs.append(step_jac)
+            mean, pull = self.integrator.step_pull(model, mean, u, dt)
+            pulls.append(pull)
         pulled, half = np.eye(len(mean))[rows], 0.5 * dt * q
         variance = np.zeros(len(rows))
-        for step_jac in reversed(step_jacs):
+        for pull in reversed(pulls):
             variance += pulled**2 @ half
-            pulled = pulled @ step_jac
+            pulled = pull(pulled)
             variance += pulled**2 @ half
         return mean, variance + np.einsum('ij,ij->i', pulled @ belief.cov, pulled)
 

@@ -72,9 +72,7 @@ class BagWriter:
         self._writer = writer
         self._connections: dict[str, Connection] = {}
 
-    def cloud(
-        self, topic: str, stamp: int, frame_id: str, points: NDArray[np.void]
-    ) -> None:
+    def cloud(self, topic: str, stamp: int, frame_id: str, points: NDArray[np.void]) -> None:
         """Write structured points, shape (width,) or (height, width), at stamp [ns]."""
         self.message(topic, CLOUD, stamp, cloud_message(stamp, frame_id, points))
 
@@ -85,9 +83,7 @@ class BagWriter:
     def raw(self, topic: str, msgtype: str, stamp: int, data: bytes) -> None:
         """Write a message that is already serialised, as it came over the wire."""
         if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(
-                topic, msgtype, typestore=TYPES
-            )
+            self._connections[topic] = self._writer.add_connection(topic, msgtype, typestore=TYPES)
         self._writer.write(self._connections[topic], stamp, data)
 
 
@@ -178,7 +174,7 @@ def _read_clouds(
             kinds = {c.topic: c.msgtype for c in wanted if c.msgtype != CLOUD}
             if not missing and not kinds:
                 for connection, _, data in reader.messages(wanted):
-                    message = TYPES.deserialize_cdr(data, CLOUD)
+                    message: Any = TYPES.deserialize_cdr(data, CLOUD)
                     time = message.header.stamp
                     stamp = time.sec * 10**9 + time.nanosec
                     clouds.setdefault(connection.topic.lstrip('/'), []).append((stamp, message))

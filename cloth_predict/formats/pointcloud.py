@@ -5,7 +5,7 @@ rclpy's and rosbags' messages name their fields alike, so one codec serves the l
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,12 +41,13 @@ def fields_of(dtype: np.dtype[Any]) -> list[tuple[str, int, int, int]]:
 
 
 def decode(message: Any, required: tuple[str, ...]) -> NDArray[np.void]:
-    """Return the points, structured, shape (height, width). Raises FrameError if they are not there.
+    """Return the points, structured, shape (height, width).
 
-    Fields beyond the required ones are accepted. The result may share the message's memory.
+    Raises FrameError where the message has no such points. Fields beyond the required ones are
+    accepted. The result may share the message's memory.
     """
     names, formats, offsets = [], [], []
-    order = '>' if message.is_bigendian else '<'
+    order: Literal['<', '>'] = '>' if message.is_bigendian else '<'
     for field in message.fields:
         if field.name in required:
             if field.datatype not in _NAMES or field.count != 1:
@@ -61,14 +62,18 @@ def decode(message: Any, required: tuple[str, ...]) -> NDArray[np.void]:
     height, width, step = message.height, message.width, message.point_step
     ends = [o + f.itemsize for o, f in zip(offsets, formats, strict=True)]
     buffer = np.frombuffer(message.data, np.uint8)
-    if max(ends) > step or width * step > message.row_step or len(buffer) < height * message.row_step:
+    if (
+        max(ends) > step
+        or width * step > message.row_step
+        or len(buffer) < height * message.row_step
+    ):
         raise FrameError('the sizes of the cloud do not fit its data')
-    dtype = np.dtype(
-        {'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': step}
-    )
+    dtype = np.dtype({'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': step})
     rows = buffer[: height * message.row_step].reshape(height, message.row_step)
     flat = np.ascontiguousarray(rows[:, : width * step])
-    return flat.view(dtype).reshape(height, width) if flat.size else np.empty((height, width), dtype)
+    return (
+        flat.view(dtype).reshape(height, width) if flat.size else np.empty((height, width), dtype)
+    )
 
 
 def xyz(points: NDArray[np.void]) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from scipy import sparse
 
-from cloth_predict.types import FloatArray, Linearised, Solver, StiffDynamics
+from cloth_predict.types import FloatArray, Linearised, StepSolver, StiffDynamics
 
 
 class Forced(StiffDynamics, Protocol):
@@ -32,7 +32,7 @@ class Disturbed:
         self.model = model
         self.tau = tau
         self.gain = model.jac_force()
-        self._forces = self.gain.shape[1]
+        self._forces = int(self.gain.shape[1])
         self._joined: _Joined | None = None
 
     @property
@@ -76,20 +76,34 @@ class _Linearised:
     inner: Linearised
     slope: FloatArray
 
-    def solver(self, dt: float) -> Solver:
-        """Solver of the implicit step: the forces first, then the model with the forces known."""
-        gain, size = self.model.gain, self.model.model.dim_x
-        solve_inner = self.inner.solver(dt)
-
-        def solve(b: FloatArray) -> FloatArray:
-            force = b[size:] / (1.0 + dt / self.model.tau)
-            return np.concatenate([solve_inner(b[:size] + dt * (gain @ force)), force])
-
-        return solve
+    def solver(self, dt: float) -> _StepSolver:
+        """Solver of the implicit step."""
+        decay = 1.0 + dt / self.model.tau
+        return _StepSolver(self.inner.solver(dt), dt * self.model.gain, decay)
 
     def step_slope(self, w: FloatArray) -> sparse.csr_array:
         """The forces enter linearly: only the model's part depends on w."""
         return self.model.join(self.inner.step_slope(w[: self.model.model.dim_x]))
+
+
+@dataclass(frozen=True)
+class _StepSolver:
+    """Solves with N = [[N_model, -dt G], [0, decay I]]; gain = dt G."""
+
+    inner: StepSolver
+    gain: sparse.csr_array
+    decay: float
+
+    def __call__(self, b: FloatArray) -> FloatArray:
+        size = self.gain.shape[0]
+        force = b[size:] / self.decay
+        return np.concatenate([self.inner(b[:size] + self.gain @ force), force])
+
+    def transposed(self, b: FloatArray) -> FloatArray:
+        """Return y of N' y = b, shape (dim_x, m)."""
+        size = self.gain.shape[0]
+        state = self.inner.transposed(b[:size])
+        return np.concatenate([state, (b[size:] + self.gain.T @ state) / self.decay])
 
 
 class _Joined:

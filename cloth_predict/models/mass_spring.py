@@ -22,9 +22,9 @@ SHORTEST = 1e-9
 class MassSpring:
     """Point masses joined by springs and dampers; some nodes may be driven.
 
-    State `x = [p; v]` of the free nodes, shape (6 free,). Input `u`: positions and velocities of the
-    driven nodes, then an external force [N] on each free node, shape (6 driven + 3 free,); `input`
-    packs it. The sparsity is built once; each call computes values only.
+    State `x = [p; v]` of the free nodes, shape (6 free,). Input `u`: positions and velocities of
+    the driven nodes, then an external force [N] on each free node, shape (6 driven + 3 free,);
+    `input` packs it. The sparsity is built once; each call computes values only.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class MassSpring:
         return _Shape(offset, velocity[self._i] - velocity[self._j], length)
 
     def _weighted(self, blocks: FloatArray) -> FloatArray:
-        return blocks * self._inverse_mass[self._blocks.a][:, None]
+        return np.asarray(blocks * self._inverse_mass[self._blocks.a][:, None])
 
     def _check(self) -> None:
         if np.any(self.mass <= 0) or not np.all(np.isfinite(self.mass)):
@@ -164,7 +164,7 @@ class _Shape:
         return blocks
 
     def stiffness_change(self, springs: Springs, w: FloatArray) -> FloatArray:
-        """Derivative of the clamped block times w, shape (springs, 3), by the offset: (springs, 9).
+        """Derivative of the clamped block times w, (springs, 3), by the offset, (springs, 9).
 
         Stretched: k r / l^2 [(n.w) T + n t' + t n'] with T = I - n n', t = T w; compressed, where
         the block is k n n': k / l [(n.w) T + n t'].
@@ -179,7 +179,7 @@ class _Shape:
         blocks += (taut[:, None] * t)[:, :, None] * n[:, None, :]
         flat = blocks.reshape(-1, 9)
         flat[:, ::4] += along[:, None]
-        return flat * gain[:, None]
+        return np.asarray(flat * gain[:, None])
 
 
 @dataclass(frozen=True)
@@ -190,30 +190,18 @@ class _Linearised:
     shape: _Shape
     slope: FloatArray
 
-    def solver(self, dt: float) -> Solver:
+    def solver(self, dt: float) -> _StepSolver:
         """Solver of an implicit step: (3.32) multiplied by the masses, by a Cholesky factor.
 
         The geometric stiffness of a compressed spring is negative and can make the matrix
         indefinite: there it is left out (1 - r/l clamped at 0), which keeps the matrix positive
         definite for every state.
         """
-        m, n = self.model, 3 * len(self.model.free)
-        blocks = m._blocks
+        m, blocks = self.model, self.model._blocks
         stiffness = blocks.gather(self.shape.stiffness(m.springs, clamp=True))
-        solve_momentum = blocks.cholesky(
-            m._mass_blocks - dt**2 * stiffness - dt * m._damping_blocks
-        )
-        force_jac = blocks.matrix(stiffness)
+        matrix = m._mass_blocks - dt**2 * stiffness - dt * m._damping_blocks
         mass = np.repeat(m.mass[m.free], 3)[:, None]
-
-        def solve(b: FloatArray) -> FloatArray:
-            columns = b.reshape(2 * n, -1)
-            y = np.empty_like(columns)
-            y[n:] = solve_momentum(mass * columns[n:] + dt * (force_jac @ columns[:n]))
-            y[:n] = columns[:n] + dt * y[n:]
-            return y.reshape(b.shape)
-
-        return solve
+        return _StepSolver(dt, mass, blocks.matrix(stiffness), blocks.cholesky(matrix))
 
     def step_slope(self, w: FloatArray) -> sparse.csr_array:
         """J(x) and the derivative of J~(x) w for a fixed w, added up, shape (dim_x, dim_x)."""
@@ -224,3 +212,31 @@ class _Linearised:
         springs += self.shape.stiffness_change(m.springs, change[m._i] - change[m._j])
         blocks = m._blocks
         return blocks.state_matrix(m._weighted(blocks.gather(springs)), m._jav)
+
+
+@dataclass(frozen=True)
+class _StepSolver:
+    """Solves with N = [[I, -dt I], [-dt M^-1 K, I - dt M^-1 D]] through A = M - dt^2 K - dt D.
+
+    mass [kg], shape (3 free, 1); stiffness K, the derivative of the forces by the positions;
+    solve, with A.
+    """
+
+    dt: float
+    mass: FloatArray
+    stiffness: sparse.bsr_array
+    solve: Solver
+
+    def __call__(self, b: FloatArray) -> FloatArray:
+        n = len(self.mass)
+        columns = b.reshape(2 * n, -1)
+        y = np.empty_like(columns)
+        y[n:] = self.solve(self.mass * columns[n:] + self.dt * (self.stiffness @ columns[:n]))
+        y[:n] = columns[:n] + self.dt * y[n:]
+        return y.reshape(b.shape)
+
+    def transposed(self, b: FloatArray) -> FloatArray:
+        """Return y of N' y = b, shape (6 free, m); K and A are symmetric."""
+        n = len(self.mass)
+        both = self.solve(b[n:] + self.dt * b[:n])
+        return np.concatenate([b[:n] + self.dt * (self.stiffness @ both), self.mass * both])

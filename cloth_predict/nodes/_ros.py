@@ -32,8 +32,8 @@ SENSOR_QOS = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 """Latest data over complete data: a late frame is of no use to a projector."""
 
 INPUT_QOS = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-"""A filter wants every frame: the queue outlasts the fraction of a second for which Fast DDS blocks
-a publisher while a new subscriber is being discovered."""
+"""A filter wants every frame: the queue outlasts the fraction of a second for which Fast DDS
+blocks a publisher while a new subscriber is being discovered."""
 
 OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')

@@ -71,9 +71,7 @@ class Demo:
         )
 
 
-def demo(
-    bag: Path, config_path: Path, output: Path, progress: Callable[[int, int], None]
-) -> Demo:
+def demo(bag: Path, config_path: Path, output: Path, progress: Callable[[int, int], None]) -> Demo:
     """Replay a recording in real time through the three nodes, record, evaluate and draw.
 
     Raises ClothPredictError where the inputs do not fit or a node ends early.
@@ -118,7 +116,8 @@ def _run_graph(
     """Start the nodes, wait until they see each other, replay, and stop them."""
     with ExitStack() as stack:
         nodes = [
-            stack.enter_context(_Process(name, config_path)) for name in ('ekf_node', 'projector_node')
+            stack.enter_context(_Process(name, config_path))
+            for name in ('ekf_node', 'projector_node')
         ]
 
         def check(process: _Process) -> bool:
@@ -130,8 +129,13 @@ def _run_graph(
         # a quoted string, so that no file name is taken for a number
         path = json.dumps(str(bag))
         replay = stack.enter_context(
-            _Process('mocap_replay_node', config_path, f'replay.path:={path}',
-                     'replay.loop:=false', 'replay.subscribers:=2')
+            _Process(
+                'mocap_replay_node',
+                config_path,
+                f'replay.path:={path}',
+                'replay.loop:=false',
+                'replay.subscribers:=2',
+            )
         )
         seen = 0
 
@@ -194,7 +198,11 @@ class _Process:
         if self._process.poll():
             self._errors.seek(0)
             words = [line for line in self._errors.read().splitlines() if line.strip()]
-            last = words[-1].removeprefix('[FATAL] ') if words else f'exit code {self._process.returncode}'
+            last = (
+                words[-1].removeprefix('[FATAL] ')
+                if words
+                else f'exit code {self._process.returncode}'
+            )
             raise ClothPredictError(f'{self._name} ended: {last}')
 
 

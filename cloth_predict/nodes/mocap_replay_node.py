@@ -20,7 +20,7 @@ from cloth_predict.nodes._ros import STEADY, ConfiguredNode, Diagnostics, cloud,
 LINGER = 0.5
 """Seconds after the last frame before the node ends, so that it still arrives."""
 SETTLE = 1.0
-"""Seconds from the first sight of all subscribers to the first frame: discovery blocks publishers."""
+"""Seconds from the first sight of all subscribers to the first frame: discovery blocks."""
 POLL = 0.02
 """Seconds between looks for subscribers."""
 

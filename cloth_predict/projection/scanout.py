@@ -1,4 +1,4 @@
-"""When each row of the surface is drawn, and where the surface is then (Gomes 2016, section 6.5)."""
+"""When each row of the surface is drawn, and where the surface is then (Gomes 2016, sec. 6.5)."""
 
 from __future__ import annotations
 

@@ -1,0 +1,100 @@
+"""From configuration and first frame to a model, its noise and a first belief."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from cloth_predict.config import Config, ModelConfig
+from cloth_predict.models.disturbed import Disturbed
+from cloth_predict.models.mass_spring import MassSpring
+from cloth_predict.models.springs import Springs, grid_pairs
+from cloth_predict.types import BoolArray, FloatArray, Gaussian
+
+
+def rest_shape(model: ModelConfig) -> FloatArray:
+    """Flat grid at rest [m], shape (nodes, 3): rows go down (-y), columns to the right (+x)."""
+    x = np.linspace(0.0, model.width, model.cols) if model.cols > 1 else np.zeros(1)
+    y = -np.linspace(0.0, model.height, model.rows) if model.rows > 1 else np.zeros(1)
+    grid = np.zeros((model.rows, model.cols, 3))
+    grid[..., 0], grid[..., 1] = x, y[:, None]
+    return grid.reshape(-1, 3)
+
+
+def build_mass_spring(config: Config, surface: FloatArray) -> MassSpring:
+    """Build the configured model; `surface` [m], shape (nodes, 3), gives measured rest lengths."""
+    model = config.model
+    families = grid_pairs(model.rows, model.cols)
+    pairs = np.concatenate(list(families.values()))
+    shape = rest_shape(model) if model.rest_length == 'dimensions' else surface
+    rest_length = np.linalg.norm(shape[pairs[:, 0]] - shape[pairs[:, 1]], axis=1)
+    stiffness = np.concatenate(
+        [np.full(len(p), getattr(model, f'stiffness_{name}')) for name, p in families.items()]
+    )
+    nodes = model.rows * model.cols
+    springs = Springs(pairs, stiffness, np.full(len(pairs), model.damping), rest_length)
+    mass = np.full(nodes, model.mass / nodes)
+    return MassSpring(springs, mass, list(config.anchors.nodes), np.array(model.gravity))
+
+
+def complete(
+    model: ModelConfig, positions: FloatArray, visible: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Fill in the nodes that are not visible by the mean of their neighbours.
+
+    Returns positions [m], shape (nodes, 3), and a standard deviation [m], shape (nodes,): zero
+    where measured, the length of the shortest side of a cell where filled in.
+    """
+    spread = np.zeros(len(positions))
+    if visible.all():
+        return positions, spread
+    pairs = grid_pairs(model.rows, model.cols)['structural']
+    i, j = pairs.T
+    graph = sparse.coo_array((np.ones(len(pairs)), (i, j)), shape=(len(positions),) * 2)
+    laplacian = sparse.csr_array(sparse.csgraph.laplacian(graph + graph.T))
+    hidden = np.flatnonzero(~visible)
+    seen = np.flatnonzero(visible)
+    right = -(laplacian[hidden][:, seen] @ positions[seen])
+    filled = positions.copy()
+    filled[hidden] = spsolve(sparse.csc_array(laplacian[hidden][:, hidden]), right).reshape(-1, 3)
+    shape = rest_shape(model)
+    spread[hidden] = np.linalg.norm(shape[i] - shape[j], axis=1).min()
+    return filled, spread
+
+
+def disturbed(config: Config, mesh: MassSpring) -> MassSpring | Disturbed:
+    """Add the unknown forces to the states where they are configured."""
+    return mesh if config.force.kind == 'none' else Disturbed(mesh, config.force.tau)
+
+
+def process_noise(config: Config, mesh: MassSpring) -> FloatArray:
+    """Spectral densities of the noise on each state, shape (dim_x,).
+
+    Unknown acceleration on the velocities; 2 sigma^2 / tau on the forces, where there are any.
+    """
+    size, force = 3 * len(mesh.free), config.force
+    densities = [np.zeros(size), np.full(size, config.filter.process_noise)]
+    if force.kind != 'none':
+        densities.append(np.full(size, 2 * force.sigma**2 / force.tau))
+    return np.concatenate(densities)
+
+
+def first_belief(
+    config: Config, mesh: MassSpring, surface: FloatArray, spread: FloatArray
+) -> Gaussian:
+    """Start at rest at `surface` [m], shape (nodes, 3) (Gomes 2016, eq. 6.15).
+
+    spread [m], shape (nodes,): how uncertain the position is beyond the noise of a marker.
+    """
+    size, settings = 3 * len(mesh.free), config.filter
+    deviations = [
+        np.repeat(settings.measurement_noise + spread[mesh.free], 3),
+        np.full(size, settings.initial_velocity),
+    ]
+    if config.force.kind != 'none':
+        deviations.append(np.full(size, config.force.sigma))
+    variance = np.concatenate(deviations) ** 2
+    mean = np.zeros(len(variance))
+    mean[:size] = surface[mesh.free].ravel()
+    return Gaussian(mean, np.diag(variance))
