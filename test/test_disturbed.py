@@ -1,0 +1,157 @@
+"""Unknown forces as states: derivatives, the joined solve, their variance, and that they are found."""
+
+import numpy as np
+import pytest
+from references import central_differences, even_surface, order_of, random_surface
+from scipy.linalg import expm
+
+from cloth_predict.filters.ekf import ExtendedKalmanFilter
+from cloth_predict.filters.linear import propagate
+from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
+from cloth_predict.models.disturbed import Disturbed
+from cloth_predict.observations import VisiblePositions
+from cloth_predict.types import Gaussian
+
+TAU = 0.3
+
+
+@pytest.fixture
+def example():
+    """A disturbed mesh at a random state, compressed springs among them."""
+    rng = np.random.default_rng(1)
+    model, x, u = random_surface(rng, 3, 4, (0, 3), rest=(0.6, 1.6))
+    return Disturbed(model, TAU), np.append(x, rng.normal(0, 0.2, 30)), u
+
+
+def test_slope_is_that_of_the_model_under_the_forces(example):
+    model, x, u = example
+    under = u.copy()
+    under[-30:] += x[60:]
+    expected = np.append(model.model.f(x[:60], under), -x[60:] / TAU)
+    np.testing.assert_allclose(model.f(x, u), expected, rtol=1e-12)  # sums in another order
+    np.testing.assert_array_equal(model.linearise(x, u).slope, model.f(x, u))
+    assert (model.dim_x, model.dim_u) == (90, model.model.dim_u)
+
+
+def test_jacobian_equals_central_differences(example):
+    model, x, u = example
+    expected = central_differences(lambda y: model.f(y, u), x, 1e-6)
+    # entries up to 4e4 1/s^2; rounding 1e-9 of that
+    atol = 1e-8 * np.abs(expected).max()
+    np.testing.assert_allclose(model.jac(x, u).toarray(), expected, atol=atol)
+
+
+def test_solver_equals_a_dense_solve(example):
+    model, x, u = example
+    dt = 0.01
+    inner = model.model
+    columns = np.eye(60)
+    # the model's own J~ by its solver, the rest of the matrix by hand
+    stepped = inner.linearise(x[:60], u).solver(dt)(columns)
+    matrix = np.zeros((90, 90))
+    matrix[:60, :60] = np.linalg.inv(stepped)
+    matrix[30:60, 60:] = -dt * np.diag(np.repeat(1 / inner.mass[inner.free], 3))
+    matrix[60:, 60:] = (1 + dt / TAU) * np.eye(30)
+    b = np.random.default_rng(2).normal(size=(90, 3))
+    expected = np.linalg.solve(matrix, b)
+    solve = model.linearise(x, u).solver(dt)
+    np.testing.assert_allclose(solve(b), expected, atol=1e-10)  # rounding, condition 1e4
+    np.testing.assert_allclose(solve(b[:, 0]), expected[:, 0], atol=1e-10)  # the same
+
+
+def test_step_slope_equals_central_differences(example):
+    # of f(x) + J~(x) w: J~ w read off the solver, as (I - dt J~) y = b  =>  J~ y = (y - b) / dt
+    model, x, u = example
+    dt = 0.01
+    at = model.linearise(x, u)
+    w = at.solver(dt)(dt * at.slope)
+
+    def slope(y):
+        moved = model.linearise(y, u)
+        identity = np.eye(90)
+        matrix = np.linalg.inv(moved.solver(dt)(identity))
+        return moved.slope + (identity - matrix) / dt @ w
+
+    expected = central_differences(slope, x, 1e-6)
+    # entries up to 4e4 1/s^2; the inverse of the solver loses 1e-12 / dt / step = 1e-4
+    atol = 1e-8 * np.abs(expected).max() + 1e-4
+    np.testing.assert_allclose(at.step_slope(w).toarray(), expected, atol=atol)
+
+
+def test_tau_must_be_positive(example):
+    with pytest.raises(ValueError, match='tau'):
+        Disturbed(example[0].model, 0.0)
+
+
+# --- the force's own statistics
+
+
+def force_variance_ratio(name, dt):
+    """Variance of the force that `propagate` keeps, over sigma^2, for q = 2 sigma^2 / tau."""
+    mesh, flat = even_surface(1, 2, driven=(0,))
+    model = Disturbed(mesh, TAU)
+    x = np.append(flat[1], np.zeros(6))
+    _, F = INTEGRATORS[name].step_jac(model, x, mesh.input(flat[:1]), dt)
+    a = F[-1, -1]
+    np.testing.assert_array_equal(F[-1, :-1], 0.0)
+    # P = a^2 (P + n/2) + n/2 solved for P; then seen to be kept by the filter's own step
+    noise = 2 / TAU * dt
+    kept = noise / 2 * (1 + a**2) / (1 - a**2)
+    cov = np.diag([0.0] * 6 + [kept] * 3)
+    after = propagate(cov, F, noise * np.array([0.0] * 6 + [1.0] * 3))
+    np.testing.assert_allclose(np.diag(after)[6:], kept, rtol=1e-13)  # rounding
+    return kept
+
+
+@pytest.mark.parametrize(('name', 'order', 'lead'), [('implicit_euler', 1, 1 / 2), ('rk4', 2, 1 / 3)])
+def test_variance_of_the_force_is_stationary(name, order, lead):
+    """The deviation is lead (dt/tau)^order: (2+2h+h^2)/(2+h) - 1 and h coth(h) - 1, h = dt/tau."""
+    steps = np.array([0.02, 0.01, 0.005])
+    deviation = np.array([force_variance_ratio(name, dt) - 1 for dt in steps])
+    assert order_of(deviation, steps) == pytest.approx(order, abs=0.1)  # next term: 7 % at 0.02 s
+    # the same next term, at most 2 % at the shortest step
+    assert deviation[-1] == pytest.approx(lead * (steps[-1] / TAU) ** order, rel=0.02)
+
+
+def test_covariance_of_force_and_velocity_equals_the_integral():
+    """A free mass under the force: compared with the integral of expm(A t) Q expm(A t)'."""
+    mesh, flat = even_surface(1, 2, driven=(0,), stiffness=0.0, damping=0.0, mass=0.5)
+    model = Disturbed(mesh, TAU)
+    u, x = mesh.input(flat[:1]), np.append(flat[1], np.zeros(6))
+    q = np.array([0.0] * 3 + [0.1] * 3 + [2 * 0.2**2 / TAU] * 3)
+    A, end = model.jac(x, u).toarray(), 0.4
+    # Van Loan 1978: the blocks of one exponential hold the integral
+    both = expm(np.block([[-A, np.diag(q)], [np.zeros((9, 9)), A.T]]) * end)
+    exact = both[9:, 9:].T @ both[:9, 9:]
+    errors, counts = [], np.array([20, 40, 80])
+    for n in counts:
+        belief = Gaussian(x, np.zeros((9, 9)))
+        for _ in range(n):
+            kalman = ExtendedKalmanFilter(INTEGRATORS['rk4'])
+            belief = kalman.predict(belief, model, u, q, end / n)
+        errors.append(np.abs(belief.cov - exact).max())
+    assert errors[-1] < 1e-4 * np.abs(exact).max()  # (dt / tau)^2 / 3 = 1e-4
+    assert order_of(errors, end / counts) == pytest.approx(2, abs=0.1)  # the trapezoid rule
+
+
+def test_a_constant_force_is_found():
+    mesh, flat = even_surface(3, 2, driven=(0, 1), damping=0.2)
+    force = np.zeros((4, 3))
+    force[2] = [0.05, 0.02, -0.1]
+    force[3] = [0.0, 0.0, 0.08]
+    u, pushed = mesh.input(flat[:2]), mesh.input(flat[:2], force=force)
+    tau, sigma = 30.0, 0.1
+    model = Disturbed(mesh, tau)
+    kalman = ExtendedKalmanFilter(ImplicitEuler())
+    truth = np.append(flat[2:], np.zeros(12))
+    belief = Gaussian(np.append(truth, np.zeros(12)), np.diag([1e-8] * 12 + [0.01] * 12 + [0.01] * 12))
+    q = np.repeat([0.0, 1e-6, 2 * sigma**2 / tau], 12)
+    obs = VisiblePositions.of_nodes(np.arange(4), 3e-4)
+    for _ in range(300):
+        truth = ImplicitEuler().step(mesh, truth, pushed, 0.01)
+        belief = kalman.predict(belief, model, u, q, 0.01)
+        belief, _ = kalman.update(belief, obs, truth[:12])
+    found = belief.mean[24:].reshape(4, 3)
+    # no noise in the markers, so what is left is the pull to zero over tau between corrections
+    np.testing.assert_allclose(found, force, atol=1e-3)
+    assert np.sqrt(belief.cov[-1, -1]) < 0.1 * sigma  # and the filter knows that it has found it

@@ -1,0 +1,499 @@
+"""The live graph over real DDS: nodes in one process with a context of their own."""
+
+import array
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+# A domain for each graph: what another left behind is not heard. The demo uses 1 to 100.
+DOMAINS = itertools.cycle(range(101 + os.getpid() % 100, 233))
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import PointCloud2, PointField
+from std_srvs.srv import SetBool
+
+from cloth_predict.config import load
+from cloth_predict.errors import ConfigError
+from cloth_predict.formats.bag import Recording, create_bag, read_recording, write_recording
+from cloth_predict.formats.pointcloud import (
+    MARKERS,
+    UNLABELLED,
+    decode,
+    encode_markers,
+    encode_surface,
+    xyz,
+)
+from cloth_predict.nodes._ros import cloud, nanoseconds
+from cloth_predict.nodes.ekf_node import EkfNode, triangles
+from cloth_predict.nodes.mocap_replay_node import MocapReplayNode
+from cloth_predict.nodes.projector_node import ProjectorNode
+from cloth_predict.nodes.recorder import TOPICS
+from cloth_predict.projection.pinhole import Pinhole
+from cloth_predict.tracker import Tracker
+from cloth_predict.types import MarkerSequence
+
+ROOT = Path(__file__).parents[1]
+TOWEL = ROOT / 'config' / 'towel.yaml'
+BAG = ROOT / 'bags' / 'towel_fan'
+DEADLINE = 20.0  # s; discovery may take some of it on a loaded machine
+RELIABLE = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.RELIABLE)
+BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+
+
+class Graph:
+    """A context, an executor, and a probe that keeps what it hears."""
+
+    def __init__(self):
+        self.context, self.domain = Context(), next(DOMAINS)
+        rclpy.init(context=self.context, domain_id=self.domain)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.probe = self.add(Node('probe', context=self.context))
+        self.heard = defaultdict(list)
+
+    def add(self, node):
+        self.executor.add_node(node)
+        return node
+
+    def start(self, kind, **parameters):
+        settings = {'model.rows': 5, 'model.cols': 4, **parameters}
+        overrides = [Parameter(name, value=value) for name, value in settings.items()]
+        return self.add(
+            kind(context=self.context, use_global_arguments=False, parameter_overrides=overrides)
+        )
+
+    def listen(self, topic, kind):
+        self.probe.create_subscription(kind, topic, self.heard[topic].append, BEST_EFFORT)
+
+    def until(self, condition):
+        deadline = time.monotonic() + DEADLINE
+        while not condition():
+            assert time.monotonic() < deadline, f'heard {({k: len(v) for k, v in self.heard.items()})}'
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def close(self):
+        for node in list(self.executor.get_nodes()):
+            node.destroy_node()
+        self.executor.shutdown()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def graph():
+    found = Graph()
+    yield found
+    found.close()
+
+
+@pytest.fixture(scope='module')
+def towel():
+    """The first 0.6 s of the shipped recording."""
+    markers = read_recording(BAG).markers
+    part = slice(0, 61)
+    return MarkerSequence(
+        markers.stamps[part],
+        markers.labels,
+        markers.positions[part],
+        markers.visible[part],
+    )
+
+
+@pytest.fixture(scope='module')
+def towel_bag(towel, tmp_path_factory):
+    path = tmp_path_factory.mktemp('bag') / 'towel'
+    write_recording(path, Recording(towel))
+    return path
+
+
+def flat(config_path=TOWEL, **changes):
+    """Parameters of a shipped configuration, as ROS names them."""
+    config = load(config_path)
+    found = {}
+
+    def walk(prefix, value):
+        if hasattr(value, '__dataclass_fields__'):
+            for name in value.__dataclass_fields__:
+                walk(f'{prefix}.{name}' if prefix else name, getattr(value, name))
+        elif value not in ((), ''):
+            found[prefix] = list(value) if isinstance(value, tuple) else value
+
+    walk('', config)
+    return found | changes
+
+
+def frame(stamp, positions, ids=None, frame_id='mocap'):
+    points = np.zeros(len(positions), MARKERS)
+    for k, axis in enumerate('xyz'):
+        points[axis] = np.asarray(positions, float)[:, k]
+    points['id'] = np.arange(len(positions)) if ids is None else ids
+    return cloud(stamp, frame_id, points)
+
+
+# --- the whole graph
+
+
+@pytest.fixture(scope='module')
+def run(towel, towel_bag):
+    """All topics of one replay through the three nodes."""
+    graph = Graph()
+    try:
+        for topic, kind in TOPICS.items():
+            graph.listen(topic, kind)
+        graph.start(EkfNode, **flat())
+        graph.start(ProjectorNode, **flat())
+        graph.until(lambda: graph.probe.count_publishers('projector/scanlines'))
+        replay = graph.start(
+            MocapReplayNode, **flat(**{'replay.path': str(towel_bag), 'replay.subscribers': 2})
+        )
+        graph.until(lambda: replay.finished)
+        graph.until(lambda: len(graph.heard['diagnostics']) >= 3)
+        yield {topic: list(messages) for topic, messages in graph.heard.items()}
+    finally:
+        graph.close()
+
+
+def stamps(messages):
+    return [nanoseconds(m.header.stamp) for m in messages]
+
+
+@pytest.mark.parametrize(
+    ('topic', 'ahead'),
+    [
+        ('markers', 0),
+        ('cloth/estimate', 0),
+        ('cloth/prediction', 100_000_000),
+        ('cloth/mesh', 100_000_000),
+        ('projector/vertices', 100_000_000),
+        ('projector/scanlines', 100_000_000),
+    ],
+)
+def test_every_frame_comes_through_with_its_stamp(run, towel, topic, ahead):
+    assert stamps(run[topic]) == (towel.stamps + ahead).tolist()
+
+
+def test_clock_follows_the_stamps(run, towel):
+    assert [nanoseconds(m.clock) for m in run['/clock']] == towel.stamps.tolist()
+
+
+def test_replayed_markers_are_the_recorded_ones(run, towel):
+    for k, message in enumerate(run['markers']):
+        points = decode(message, ('x', 'y', 'z', 'id')).ravel()
+        assert points['id'].tolist() == np.flatnonzero(towel.visible[k]).tolist()
+        np.testing.assert_array_equal(xyz(points), towel.positions[k, towel.visible[k]])
+
+
+def test_predictions_are_those_of_the_tracker(run, towel):
+    tracker = Tracker(load(TOWEL))
+    for k, stamp in enumerate(towel.stamps.tolist()):
+        tracker.step(stamp, towel.positions[k], towel.visible[k])
+        for topic, surface in (
+            ('cloth/estimate', tracker.estimate()),
+            ('cloth/prediction', tracker.predict(0.1)),
+        ):
+            expected = encode_surface(surface, 5, 4)
+            np.testing.assert_array_equal(decode(run[topic][k], expected.dtype.names), expected)
+
+
+def test_mesh_has_two_triangles_per_cell(run):
+    mesh, points = run['cloth/mesh'][-1], decode(run['cloth/prediction'][-1], ('x', 'y', 'z'))
+    corners = xyz(points)[triangles(5, 4)]
+    assert len(mesh.points) == 2 * 3 * 4 * 3
+    found = [(p.x, p.y, p.z) for p in mesh.points]
+    np.testing.assert_allclose(found, corners, atol=1e-6)  # float32 in the cloud, double here
+
+
+def test_vertices_are_projected_where_their_row_is_drawn(run):
+    names = ('u', 'v', 's', 't', 'x', 'y', 'z', 'dt')
+    surface = decode(run['cloth/prediction'][-1], ('x', 'y', 'z', 'vx', 'vy', 'vz'))
+    vertices = decode(run['projector/vertices'][-1], names)
+    dt = np.arange(5) / (60.0 * 4)  # Gomes 2016, eq. 6.22 at 60 Hz
+    velocity = np.stack([surface[f'v{axis}'] for axis in 'xyz'], -1).astype(float)
+    drawn = xyz(surface).reshape(5, 4, 3) + velocity * dt[:, None, None]
+    np.testing.assert_allclose(vertices['dt'], np.repeat(dt[:, None], 4, 1), rtol=1e-6)  # float32
+    np.testing.assert_allclose(xyz(vertices).reshape(5, 4, 3), drawn, atol=1e-6)  # float32
+    pixels = Pinhole.from_config(load(TOWEL).projector).project(drawn)
+    # 0.01 px: float32 at 1000 px resolves 6e-5, and 1e-6 m is 1e-3 px at 2 m
+    np.testing.assert_allclose(vertices['u'], pixels[..., 0], atol=0.01)
+    np.testing.assert_allclose(vertices['v'], pixels[..., 1], atol=0.01)
+    assert vertices['s'][0].tolist() == pytest.approx([0, 1 / 3, 2 / 3, 1])
+    assert vertices['t'][:, 0].tolist() == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+
+
+def test_a_scanline_row_agrees_with_the_vertices_of_that_row(run):
+    vertices = decode(run['projector/vertices'][-1], ('u', 'v'))
+    scanlines = decode(run['projector/scanlines'][-1], ('u', 'v', 'dt'))
+    assert scanlines.shape == (5, 20)
+    for row in range(5):
+        own = slice(4 * row, 4 * row + 4)
+        assert scanlines['u'][row, own].tolist() == vertices['u'][row].tolist()
+        assert scanlines['v'][row, own].tolist() == vertices['v'][row].tolist()
+
+
+def test_diagnostics_come_from_every_node(run):
+    statuses = {m.status[0].name: m.status[0] for m in run['diagnostics']}
+    assert set(statuses) == {'/ekf_node', '/projector_node', '/mocap_replay_node'}
+    keys = {v.key for v in statuses['/ekf_node'].values}
+    assert {'rate_hz', 'visible_markers', 'nis'} <= keys
+
+
+# --- what the EKF node does with bad frames
+
+
+def values(graph):
+    """Latest diagnostics of the EKF node."""
+    found = {}
+    for message in graph.heard['diagnostics']:
+        found = {v.key: v.value for v in message.status[0].values}
+    return found
+
+
+@pytest.fixture
+def ekf(graph):
+    graph.listen('cloth/estimate', PointCloud2)
+    graph.listen('diagnostics', DiagnosticArray)
+    graph.start(EkfNode, **flat())
+    publisher = graph.probe.create_publisher(PointCloud2, 'markers', RELIABLE)
+    graph.until(lambda: publisher.get_subscription_count() == 1)
+    return publisher
+
+
+def bad_frames(good):
+    nan, huge = good.copy(), good.copy()
+    nan[3, 1] = np.nan
+    huge[3, 1] = np.inf
+    other = frame(10**7, good)
+    other.fields = [PointField(name='intensity', offset=0, datatype=7, count=1)]
+    short = frame(10**7, good)
+    short.data = array.array('B', bytes(10))
+    return {
+        'nan': frame(10**7, nan),
+        'infinite': frame(10**7, huge),
+        'wrong frame_id': frame(10**7, good, frame_id='map'),
+        'id of no node': frame(10**7, good, ids=np.arange(5, 25)),
+        'id twice': frame(10**7, good, ids=np.zeros(20)),
+        'other fields': other,
+        'too little data': short,
+    }
+
+
+def test_bad_frames_are_dropped_and_counted_and_the_next_good_one_is_used(graph, ekf, towel):
+    good = towel.positions[0]
+    bad = bad_frames(good)
+    ekf.publish(frame(0, good))
+    graph.until(lambda: len(graph.heard['cloth/estimate']) == 1)
+    for message in bad.values():
+        ekf.publish(message)
+    ekf.publish(frame(2 * 10**7, good))
+    graph.until(lambda: len(graph.heard['cloth/estimate']) == 2)
+    graph.until(lambda: values(graph).get('bad_frames') == str(len(bad)))
+    assert stamps(graph.heard['cloth/estimate']) == [0, 2 * 10**7]
+
+
+def test_stamps_that_repeat_or_run_backwards_are_dropped_a_jump_back_restarts(graph, ekf, towel):
+    good = towel.positions[0]
+    sent = [10**9, 10**9 + 10**7, 10**9 + 10**7, 10**9, 10**9 + 2 * 10**7, 0, 10**7]
+    for stamp in sent:
+        ekf.publish(frame(stamp, good))
+    used = [10**9, 10**9 + 10**7, 10**9 + 2 * 10**7, 0, 10**7]
+    graph.until(lambda: len(graph.heard['cloth/estimate']) == len(used))
+    graph.until(lambda: values(graph).get('late_frames') == '2')
+    assert stamps(graph.heard['cloth/estimate']) == used
+    assert values(graph)['restarted_steps'] == '1'
+
+
+def test_unlabelled_points_are_counted_and_not_used(graph, ekf, towel):
+    ids = np.arange(20)
+    ids[7] = UNLABELLED
+    ekf.publish(frame(0, towel.positions[0], ids=ids))
+    graph.until(lambda: values(graph).get('unlabelled_markers') == '1')
+    assert values(graph)['visible_markers'] == '19 of 20'
+
+
+def test_projector_drops_a_surface_of_another_size(graph, towel):
+    graph.listen('projector/vertices', PointCloud2)
+    graph.listen('diagnostics', DiagnosticArray)
+    graph.start(ProjectorNode, **flat())
+    publisher = graph.probe.create_publisher(PointCloud2, 'cloth/prediction', RELIABLE)
+    graph.until(lambda: publisher.get_subscription_count() == 1)
+    tracker = Tracker(load(TOWEL))
+    tracker.step(0, towel.positions[0], towel.visible[0])
+    points = encode_surface(tracker.estimate(), 5, 4)
+    broken = points.copy()
+    broken['vx'][2, 2] = np.nan
+    for bad in (points.reshape(4, 5), points.ravel(), broken):
+        publisher.publish(cloud(1, 'mocap', bad))
+    publisher.publish(cloud(2, 'mocap', points))
+    graph.until(lambda: values(graph).get('bad_frames') == '3')
+    assert stamps(graph.heard['projector/vertices']) == [2]
+
+
+# --- the replay node
+
+
+def replay(graph, path, **parameters):
+    graph.listen('markers', PointCloud2)
+    return graph.start(
+        MocapReplayNode, **flat(**{'replay.path': str(path), 'replay.rate': 5.0, **parameters})
+    )
+
+
+def test_replay_loops_and_its_stamps_jump_back(graph, towel, towel_bag):
+    replay(graph, towel_bag, **{'replay.loop': True})
+    graph.until(lambda: len(graph.heard['markers']) >= 130)
+    expected = np.tile(towel.stamps, 3)[:130]
+    assert stamps(graph.heard['markers'])[:130] == expected.tolist()
+
+
+def test_replay_starts_at_an_offset(graph, towel, towel_bag):
+    node = replay(graph, towel_bag, **{'replay.start': 0.25})
+    graph.until(lambda: node.finished)
+    assert stamps(graph.heard['markers']) == towel.stamps[25:].tolist()
+
+
+def test_replay_drops_a_share_of_the_markers_and_delays_frames_in_order(graph, towel, towel_bag):
+    node = replay(graph, towel_bag, **{'replay.drop': 0.5, 'replay.jitter': 0.004})
+    graph.until(lambda: node.finished)
+    assert stamps(graph.heard['markers']) == towel.stamps.tolist()
+    share = sum(m.width for m in graph.heard['markers']) / towel.visible.sum()
+    assert abs(share - 0.5) < 0.06  # 4 standard deviations of 1200 drops
+
+
+def test_replay_pauses_and_resumes(graph, towel, towel_bag):
+    node = replay(graph, towel_bag, **{'replay.rate': 1.0})
+    client = graph.probe.create_client(SetBool, 'pause')
+    graph.until(client.service_is_ready)
+    graph.until(lambda: len(graph.heard['markers']) > 5)
+
+    def call(pause):
+        future = client.call_async(SetBool.Request(data=pause))
+        graph.until(future.done)
+        return future.result()
+
+    assert call(True).message == 'paused'
+    ends = time.monotonic() + 0.5
+    graph.until(lambda: time.monotonic() > ends - 0.3)  # what was under way arrives
+    at = len(graph.heard['markers'])
+    graph.until(lambda: time.monotonic() > ends)
+    assert len(graph.heard['markers']) == at < len(towel)
+    assert call(False).message == 'running'
+    graph.until(lambda: node.finished)
+    assert stamps(graph.heard['markers']) == towel.stamps.tolist()
+
+
+def test_replay_chooses_and_orders_markers_by_label(graph, towel, towel_bag):
+    node = replay(graph, towel_bag, labels=['cloth:9', 'cloth:2'])
+    graph.until(lambda: node.finished)
+    points = decode(graph.heard['markers'][0], ('x', 'y', 'z', 'id')).ravel()
+    assert points['id'].tolist() == [0, 1]
+    np.testing.assert_array_equal(xyz(points), towel.positions[0, [9, 2]])
+
+
+def test_replay_marks_what_the_mocap_system_did_not_identify(graph, towel, tmp_path):
+    labels = ('Unlabeled 7', *towel.labels[1:])
+    mixed = MarkerSequence(towel.stamps[:5], labels, towel.positions[:5], towel.visible[:5])
+    write_recording(tmp_path / 'mixed', Recording(mixed))
+    node = replay(graph, tmp_path / 'mixed')
+    graph.until(lambda: node.finished)
+    points = decode(graph.heard['markers'][0], ('x', 'y', 'z', 'id')).ravel()
+    assert points['id'].tolist() == [UNLABELLED, *range(1, 20)]
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'words'),
+    [
+        ({'replay.path': 'nowhere'}, 'nowhere: no such file or folder'),
+        ({'replay.start': 99.0}, 'replay.start'),
+        ({'labels': ['cloth:99']}, "no marker 'cloth:99'"),
+    ],
+)
+def test_replay_of_what_is_not_there_ends_at_the_start(graph, towel_bag, parameters, words):
+    with pytest.raises(ValueError, match=words):
+        replay(graph, towel_bag, **parameters)
+
+
+def test_a_wrong_parameter_is_an_error_that_names_it(graph):
+    with pytest.raises(ConfigError, match=r'model\.rws: unknown .*model\.rows'):
+        graph.start(EkfNode, **{'model.rws': 4})
+    with pytest.raises(ConfigError, match=r'filter\.process_noise: expected float'):
+        graph.start(EkfNode, **{'filter.process_noise': 'much'})
+
+
+# --- nodes as processes
+
+
+def process(node, *parameters, config=TOWEL, domain=None):
+    rules = [word for rule in parameters for word in ('-p', rule)]
+    return subprocess.Popen(
+        [sys.executable, '-m', f'cloth_predict.nodes.{node}', '--ros-args', '--params-file',
+         str(config), *rules],
+        cwd=ROOT,
+        env=os.environ | {'ROS_DOMAIN_ID': str(domain or next(DOMAINS))},
+        stderr=subprocess.PIPE,
+        text=True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ('node', 'rule', 'words'),
+    [
+        ('ekf_node', 'model.colums:=4', 'model.colums: unknown parameter'),
+        ('ekf_node', 'model.rows:=three', "model.rows: expected int, got 'three'"),
+        ('ekf_node', 'filter.max_step:=0.0', 'filter.max_step: 0.0 is out of range'),
+        ('projector_node', 'projector.alpha:=-1.0', 'projector.alpha: -1.0 is out of range'),
+        ('mocap_replay_node', 'replay.path:=nowhere.csv', 'nowhere.csv: no such file'),
+    ],
+)
+def test_a_bad_configuration_stops_the_node_with_one_line(node, rule, words):
+    _, errors = (running := process(node, rule)).communicate(timeout=DEADLINE)
+    assert running.returncode == 1
+    lines = errors.strip().splitlines()
+    assert len(lines) == 1, errors
+    assert words in lines[0]
+
+
+def test_a_parameter_file_that_is_not_there_stops_the_node():
+    _, errors = (running := process('ekf_node', config='no.yaml')).communicate(timeout=DEADLINE)
+    assert running.returncode == 1
+    assert 'no.yaml' in errors
+    assert 'Traceback' not in errors
+
+
+@pytest.mark.parametrize('sent', [signal.SIGINT, signal.SIGTERM])
+def test_nodes_end_cleanly_on_a_signal(graph, sent):
+    names = ('ekf_node', 'projector_node', 'mocap_replay_node')
+    waiting = ('replay.subscribers:=9', 'replay.timeout:=99.0')
+    running = [process(name, *waiting, domain=graph.domain) for name in names]
+    try:
+        graph.until(lambda: set(names) <= set(graph.probe.get_node_names()))
+        for one in running:
+            one.send_signal(sent)
+        for one in running:
+            _, errors = one.communicate(timeout=DEADLINE)
+            assert one.returncode == 0, errors
+            assert 'Traceback' not in errors
+    finally:
+        for one in running:
+            one.kill()
+
+
+def test_markers_can_be_sent_from_a_bag_written_by_hand(tmp_path, towel):
+    """The codec that the replay uses writes what the EKF node reads."""
+    with create_bag(tmp_path / 'bag') as bag:
+        points = encode_markers(towel.positions[0], towel.visible[0], towel.unlabelled)
+        bag.cloud('/markers', 5, 'mocap', points)
+    again = read_recording(tmp_path / 'bag').markers
+    np.testing.assert_array_equal(again.positions[0], towel.positions[0])
