@@ -37,7 +37,7 @@ def test_order_of_convergence_against_expm(name):
     model = damped_oscillators(rng, 4)
     x = rng.normal(size=8)
     exact = expm(2.0 * model.A) @ x
-    counts = np.array([64, 128, 256, 512])
+    counts = np.array([32, 64, 128, 256])
     errors = [
         np.linalg.norm(run(INTEGRATORS[name], model, x, NO_INPUT, 2.0 / n, n) - exact)
         for n in counts
@@ -117,7 +117,8 @@ def test_implicit_step_is_stable_where_the_explicit_ones_blow_up():
     x = run(ImplicitEuler(), model, start, u, 0.1, 100)
     # the towel of 0.8 x 0.6 m hangs still: no node further than its own size from where it was
     assert np.abs(x[:48] - start[:48]).max() < 0.8
-    assert np.abs(x[48:]).max() < 1e-6  # m/s, at rest after 10 s of a step that damps strongly
+    # m/s; it swings out and in as a pendulum, whose amplitude falls by e every second or so
+    assert np.abs(x[48:]).max() < 1e-4
     for name in ('euler', 'rk4'):
         with np.errstate(over='ignore', invalid='ignore'):
             x = run(INTEGRATORS[name], model, start, u, 0.1, 20)

@@ -82,7 +82,9 @@ class Graph:
     def until(self, condition):
         deadline = time.monotonic() + DEADLINE
         while not condition():
-            assert time.monotonic() < deadline, f'heard {({k: len(v) for k, v in self.heard.items()})}'
+            assert time.monotonic() < deadline, (
+                f'heard { ({k: len(v) for k, v in self.heard.items()}) }'
+            )
             self.executor.spin_once(timeout_sec=0.05)
 
     def close(self):
