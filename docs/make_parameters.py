@@ -9,9 +9,9 @@ from cloth_predict.config import Config
 
 HEAD = """# Parameters
 
-One YAML file in ROS parameter format serves all nodes and the command line (`config/towel.yaml` is an
-example). Everything has a default; an unknown name, a wrong type or a value out of range stops a
-node at its start with one line that names the parameter. Units are SI.
+One YAML file in ROS parameter format serves all nodes and the command line (`config/towel.yaml`
+is an example). Everything has a default; an unknown name, a wrong type or a value out of range
+stops a node at its start with one line that names the parameter. Units are SI.
 
 This page is made by `python docs/make_parameters.py > docs/parameters.md`.
 """

@@ -12,11 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-# A domain for each graph: what another left behind is not heard. The demo uses 1 to 100.
-DOMAINS = itertools.cycle(range(101 + os.getpid() % 100, 233))
-
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
@@ -50,6 +45,9 @@ from cloth_predict.types import MarkerSequence
 ROOT = Path(__file__).parents[1]
 TOWEL = ROOT / 'config' / 'towel.yaml'
 BAG = ROOT / 'bags' / 'towel_fan'
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+# A domain for each graph: what another left behind is not heard. The demo uses 1 to 100.
+DOMAINS = itertools.cycle(range(101 + os.getpid() % 100, 233))
 DEADLINE = 20.0  # s; discovery may take some of it on a loaded machine
 RELIABLE = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.RELIABLE)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)

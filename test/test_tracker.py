@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from references import kalman_update
 
+from cloth_predict.assembly import build_mass_spring, complete, rest_shape
 from cloth_predict.config import build, load
 from cloth_predict.errors import FrameError
 from cloth_predict.evaluation import METHODS, evaluate
@@ -16,7 +17,7 @@ from cloth_predict.formats.bag import read_recording
 from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.springs import grid_pairs
-from cloth_predict.tracker import Tracker, build_mass_spring, complete, rest_shape
+from cloth_predict.tracker import Tracker
 from cloth_predict.types import Gaussian, MarkerSequence
 
 ROOT = Path(__file__).parents[1]
@@ -97,9 +98,7 @@ def test_irregular_stamps_and_missing_markers_equal_stepping_by_hand(motion):
             belief = kalman.predict(Gaussian(x, P), model, u, q, dt / parts)
             x, P = belief.mean, belief.cov
         seen = np.flatnonzero(visible[k, 3:])
-        H = np.kron(np.eye(6)[seen], np.eye(3, 9))[:, :0]  # replaced below, shape known
-        H = np.zeros((3 * len(seen), 54))
-        H[np.arange(3 * len(seen)), (3 * seen[:, None] + np.arange(3)).ravel()] = 1
+        H = np.kron(np.eye(18)[seen], np.eye(3))
         R = 1e-6 * np.eye(3 * len(seen))
         x, P = kalman_update(x, P, H, R, positions[k, 3 + seen].ravel())
     estimate = tracker.estimate()
@@ -221,9 +220,11 @@ def test_start_with_missing_markers_fills_in_the_mean_of_the_neighbours(hidden):
     np.testing.assert_array_equal(found.position, filled)
     # 1 mm and what is filled in; rounding
     np.testing.assert_allclose(found.sigma, 1e-3 + expected, rtol=1e-12)
-    assert tracker.step(10 * MS, seen, EVERY).outcome == 'updated'
-    # the filled-in nodes are taken from their markers at once: 1 mm against 0.2 m
-    np.testing.assert_allclose(tracker.estimate().position[hidden], seen[hidden], atol=1e-3)
+    assert np.abs(filled - seen).max() > 0.01
+    for k in range(1, 4):
+        assert tracker.step(k * 10 * MS, seen, EVERY).outcome == 'updated'
+    # markers of 1 mm against a guess of 0.2 m; the first step is linearised about that guess
+    np.testing.assert_allclose(tracker.estimate().position, seen, atol=2e-3)
 
 
 @pytest.mark.parametrize('anchors', [[], [0, 1, 2]])
@@ -280,15 +281,19 @@ def test_a_frame_that_does_not_fit_changes_nothing():
 
 
 def test_an_estimate_that_diverges_is_started_anew():
-    # explicit steps of 0.1 s, of which the fastest oscillation of the springs takes 40 rad
+    # explicit steps of 0.1 s, of which the fastest oscillation of the springs takes 20 rad, and
+    # no marker but those of the anchors to hold them
     config = settings(filter={'integrator': 'rk4', 'max_step': 0.1})
-    stamps = (np.arange(200) * 100 * MS).tolist()
+    stamps = (np.arange(100) * 100 * MS).tolist()
     positions = moving(config, stamps)
+    only_anchors = np.tile(np.arange(9) < 3, (100, 1))
     with np.errstate(all='ignore'):
-        tracker = followed(config, stamps, positions)
+        tracker = followed(config, stamps, positions, only_anchors)
     assert tracker.counts['diverged'] > 0
     assert tracker.counts['restarted'] == tracker.counts['diverged']
+    assert sum(tracker.counts.values()) - tracker.counts['diverged'] == 100
     assert tracker.started
+    assert np.isfinite(tracker.estimate().position).all()
 
 
 # --- anchors
@@ -311,6 +316,18 @@ def test_moving_anchors_are_followed_and_extrapolated():
     np.testing.assert_allclose(found.position, positions[-1] + 0.2 * speed, atol=2e-4)
     sigma = [tracker.predict(h).sigma[0] for h in (0.0, 0.1, 0.2)]
     assert sigma[0] < sigma[1] < sigma[2]
+
+
+def test_the_order_of_the_anchors_does_not_matter():
+    stamps = (np.arange(10) * 10 * MS).tolist()
+    trackers = []
+    for nodes in ([0, 2, 7], [7, 0, 2]):
+        config = settings(anchors={'nodes': nodes, 'motion': 'constant_velocity'})
+        trackers.append(followed(config, stamps, moving(config, stamps)))
+    assert_same(trackers[1].predict(0.1), trackers[0].predict(0.1))
+    # marker 7 is 0.4 m below marker 0, its own column of the anchors' 1 mm apart from its markers
+    offset = trackers[1].estimate().position - moving(config, stamps)[-1]
+    np.testing.assert_allclose(offset[[0, 2, 7]], 0.0, atol=0.05)
 
 
 def test_fixed_anchors_are_their_running_mean_and_stay():
@@ -396,16 +413,16 @@ def test_on_a_towel_it_predicts_better_than_kinematic_filters(towel):
 
 def test_on_a_towel_sigma_tells_the_error(towel):
     markers, truth, config = towel
-    part = first_seconds(markers, 3)
-    exact = truth.markers(markers).positions
+    part, exact = first_seconds(markers, 3), truth.markers(markers).positions
     tracker = Tracker(config)
-    ratios, errors = [], []
+    errors, ratios = [], []
     for k, stamp in enumerate(part.stamps.tolist()):
         tracker.step(stamp, part.positions[k], part.visible[k])
         if stamp > 10**9:
             estimate = tracker.estimate()
-            off = (estimate.position - exact[k])[4:]
-            errors.append(off)
-            ratios.append(off / estimate.sigma[4:, None])
-    print(np.sqrt(np.mean(np.square(ratios))), np.sqrt(np.mean(np.square(errors))))
-    assert np.sqrt(np.mean(np.square(errors))) < 3e-4  # m; better than the markers are
+            errors.append((estimate.position - exact[k])[4:])
+            ratios.append(errors[-1] / estimate.sigma[4:, None])
+    # m; the markers have 0.3 mm, the estimate 0.19 mm when this was written
+    assert np.sqrt(np.mean(np.square(errors))) < 2.2e-4
+    # 0.92 when written; 1 for a filter whose model is the truth, which a coarser mesh is not
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.2)
