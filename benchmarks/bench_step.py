@@ -53,10 +53,10 @@ def main() -> None:
 
 
 def filterpy_frame(tracker: Tracker) -> Callable[[int], None]:
-    """The same update and ten steps of prediction by filterpy, with our Jacobian of the step."""
+    """The same update and five steps of prediction by filterpy, with our Jacobian of the step."""
     model, belief = tracker._model, tracker._belief
     assert belief is not None
-    u, dt = tracker._input(0.0), tracker.config.filter.max_step
+    u, dt = tracker._input(0.0), tracker.config.filter.predict_step
     rows = 3 * len(tracker._mesh.free)
     selection = np.eye(rows, model.dim_x)
     kalman = Reference(model.dim_x, rows)
@@ -64,7 +64,7 @@ def filterpy_frame(tracker: Tracker) -> Callable[[int], None]:
 
     def frame(_: int) -> None:
         kalman.x, kalman.P = belief.mean.copy(), belief.cov.copy()
-        for step in range(11):
+        for step in range(6):
             kalman.x, kalman.F = tracker._filter.integrator.step_jac(model, kalman.x, u, dt)
             kalman.P = kalman.F @ kalman.P @ kalman.F.T + kalman.Q
             if step == 0:

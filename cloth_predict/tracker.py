@@ -71,7 +71,7 @@ class Tracker:
     def predict(self, horizon: float) -> Surface:
         """Return the surface `horizon` [s] after the last frame, by running the model there."""
         belief = self._started_belief()
-        steps, dt = self._steps(horizon)
+        steps, dt = split(horizon, self.config.filter.predict_step)
         inputs = [self._input((k + 1) * dt) for k in range(steps)]
         mean, variance = self._filter.forecast(
             belief, self._model, inputs, self._noise, dt, self._position_rows()
@@ -132,7 +132,7 @@ class Tracker:
             track.predict(dt)
             if visible[node]:
                 track.update(positions[node])
-        steps, part = self._steps(dt)
+        steps, part = split(dt, self.config.filter.max_step)
         for k in range(steps):
             # the input at the end of each part, counted back from the frame
             u = self._input((k + 1) * part - dt)
@@ -145,11 +145,6 @@ class Tracker:
             raise FloatingPointError('the estimate is not finite')
         self._belief = belief
         return innovation
-
-    def _steps(self, duration: float) -> tuple[int, float]:
-        """Split a duration into equal steps no longer than `max_step`, but for rounding."""
-        steps = max(ceil(duration / self.config.filter.max_step - 1e-6), 1 if duration else 0)
-        return steps, duration / max(steps, 1)
 
     def _input(self, ahead: float) -> FloatArray:
         if not self._tracks:
@@ -179,3 +174,9 @@ class Tracker:
         return Surface(
             self._stamp + round(ahead * NANOSECONDS), position, velocity, acceleration, sigma
         )
+
+
+def split(duration: float, longest: float) -> tuple[int, float]:
+    """Number and length [s] of equal steps no longer than `longest` [s], but for rounding."""
+    steps = ceil(duration / longest - 1e-6)
+    return steps, duration / max(steps, 1)

@@ -28,7 +28,7 @@ EVERY = np.ones(9, bool)
 def settings(**groups):
     """A 3 x 3 surface of 0.4 m that hangs from its first row."""
     values = {
-        'model': {'rows': 3, 'cols': 3, 'width': 0.4, 'height': 0.4, 'mass': 0.15},
+        'model': {'rows': 3, 'cols': 3, 'width': 0.4, 'height': 0.4, 'mass': 0.05},
         'anchors': {'nodes': [0, 1, 2]},
         'force': {'kind': 'ornstein_uhlenbeck'},
         'filter': {'process_noise': 0.1, 'measurement_noise': 1e-3},
@@ -43,7 +43,7 @@ def moving(config, stamps, seed=1):
     rng = np.random.default_rng(seed)
     rest = rest_shape(config.model)
     time = np.asarray(stamps)[:, None, None] / 1e9
-    swing = 0.3 * np.abs(rest[:, 1:2]) * np.sin(5 * time + np.array([0.0, 1.0, 2.0]))
+    swing = 0.02 * np.abs(rest[:, 1:2]) * np.sin(5 * time + np.array([0.0, 1.0, 2.0]))
     return rest + swing + rng.normal(0, 1e-3, (len(stamps), *rest.shape))
 
 
@@ -118,7 +118,7 @@ def test_irregular_stamps_and_missing_markers_equal_stepping_by_hand(motion):
     expected, _ = mesh.surface(belief.mean[:36], driven(0.035))
     np.testing.assert_allclose(ahead.position, expected, atol=1e-9)  # the house bound
     pulls = model.f(belief.mean, driven(0.035))[18:36].reshape(6, 3)
-    np.testing.assert_allclose(ahead.acceleration[3:], pulls, atol=1e-6)  # k/m = 4e3 times that
+    np.testing.assert_allclose(ahead.acceleration[3:], pulls, atol=1e-6)  # k/m = 1e4 times that
 
 
 @pytest.mark.parametrize('back', [0, 1, 10 * MS, 500 * MS])
@@ -163,7 +163,7 @@ def test_the_longest_gap_is_still_followed():
 # --- markers that are missing
 
 
-def test_without_any_marker_the_surface_runs_on():
+def test_without_any_marker_the_surface_runs_on(capfd):
     config = settings()
     stamps = (np.arange(30) * 10 * MS).tolist()
     tracker = followed(config, stamps, moving(config, stamps))
@@ -178,6 +178,7 @@ def test_without_any_marker_the_surface_runs_on():
     np.testing.assert_allclose(found.position, ahead.position, atol=1e-12)
     np.testing.assert_allclose(found.velocity, ahead.velocity, atol=1e-10)
     np.testing.assert_allclose(found.sigma, ahead.sigma, rtol=1e-9)  # pulled back, not pushed
+    assert capfd.readouterr() == ('', '')  # LAPACK complains aloud of an empty matrix
 
 
 def test_sigma_grows_for_an_unseen_node_and_with_the_horizon():
@@ -220,11 +221,13 @@ def test_start_with_missing_markers_fills_in_the_mean_of_the_neighbours(hidden):
     np.testing.assert_array_equal(found.position, filled)
     # 1 mm and what is filled in; rounding
     np.testing.assert_allclose(found.sigma, 1e-3 + expected, rtol=1e-12)
-    assert np.abs(filled - seen).max() > 0.01
-    for k in range(1, 4):
-        assert tracker.step(k * 10 * MS, seen, EVERY).outcome == 'updated'
-    # markers of 1 mm against a guess of 0.2 m; the first step is linearised about that guess
-    np.testing.assert_allclose(tracker.estimate().position, seen, atol=2e-3)
+    stamps = (np.arange(30) * 10 * MS).tolist()
+    positions = moving(config, stamps)
+    for k in range(1, 30):
+        assert tracker.step(stamps[k], positions[k], EVERY).outcome == 'updated'
+    # as good as a tracker that saw every marker at the start: apart by under the noise of a marker
+    expected = followed(config, stamps, positions).estimate().position
+    np.testing.assert_allclose(tracker.estimate().position, expected, atol=1e-3)
 
 
 @pytest.mark.parametrize('anchors', [[], [0, 1, 2]])
@@ -325,9 +328,9 @@ def test_the_order_of_the_anchors_does_not_matter():
         config = settings(anchors={'nodes': nodes, 'motion': 'constant_velocity'})
         trackers.append(followed(config, stamps, moving(config, stamps)))
     assert_same(trackers[1].predict(0.1), trackers[0].predict(0.1))
-    # marker 7 is 0.4 m below marker 0, its own column of the anchors' 1 mm apart from its markers
     offset = trackers[1].estimate().position - moving(config, stamps)[-1]
-    np.testing.assert_allclose(offset[[0, 2, 7]], 0.0, atol=0.05)
+    # m; five times the noise, where a mixed-up anchor would be off by 0.2 m
+    np.testing.assert_allclose(offset[[0, 2, 7]], 0.0, atol=5e-3)
 
 
 def test_fixed_anchors_are_their_running_mean_and_stay():

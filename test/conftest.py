@@ -1,0 +1,37 @@
+"""Shared by the tests of files and commands."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+DATA = Path(os.environ.get('CLOTH_PREDICT_DATA', Path(__file__).parents[2] / 'shared' / 'data'))
+
+
+@pytest.fixture
+def real() -> Callable[[str], Path]:
+    """Give the path of a real recording; the test skips where it is absent."""
+
+    def find(name: str) -> Path:
+        if not (DATA / name).exists():
+            pytest.skip(f'no recording {DATA / name}')
+        return DATA / name
+
+    return find
+
+
+@pytest.fixture
+def parameters(tmp_path: Path) -> Callable[..., Path]:
+    """Write the given parameters into a file and give its path."""
+
+    def write(**values: Any) -> Path:
+        path = tmp_path / 'parameters.yaml'
+        path.write_text(json.dumps({'/**': {'ros__parameters': values}}))  # JSON is YAML 1.2
+        return path
+
+    return write
