@@ -9,7 +9,7 @@ from scipy.sparse.linalg import spsolve
 from cloth_predict.config import Config, ModelConfig
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
-from cloth_predict.models.springs import Springs, grid_pairs
+from cloth_predict.models.springs import grid_pairs, grid_springs
 from cloth_predict.types import BoolArray, FloatArray, Gaussian
 
 
@@ -25,17 +25,16 @@ def rest_shape(model: ModelConfig) -> FloatArray:
 def build_mass_spring(config: Config, surface: FloatArray) -> MassSpring:
     """Build the configured model; `surface` [m], shape (nodes, 3), gives measured rest lengths."""
     model = config.model
-    families = grid_pairs(model.rows, model.cols)
-    pairs = np.concatenate(list(families.values()))
     shape = rest_shape(model) if model.rest_length == 'dimensions' else surface
-    rest_length = np.linalg.norm(shape[pairs[:, 0]] - shape[pairs[:, 1]], axis=1)
-    stiffness = np.concatenate(
-        [np.full(len(p), getattr(model, f'stiffness_{name}')) for name, p in families.items()]
-    )
+    stiffness = {
+        'structural': model.stiffness_structural,
+        'shear': model.stiffness_shear,
+        'flexion': model.stiffness_flexion,
+    }
+    springs = grid_springs(model.rows, model.cols, shape, stiffness, model.damping)
     nodes = model.rows * model.cols
-    springs = Springs(pairs, stiffness, np.full(len(pairs), model.damping), rest_length)
     mass = np.full(nodes, model.mass / nodes)
-    return MassSpring(springs, mass, list(config.anchors.nodes), np.array(model.gravity))
+    return MassSpring(springs, mass, config.anchors.nodes, model.gravity)
 
 
 def complete(

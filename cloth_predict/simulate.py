@@ -15,7 +15,7 @@ from scipy import sparse
 from cloth_predict.formats.bag import Recording, Truth
 from cloth_predict.integrators import RK4, ImplicitEuler, RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
-from cloth_predict.models.springs import Springs, grid_pairs
+from cloth_predict.models.springs import grid_springs
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
 AIR_DENSITY = 1.2
@@ -150,12 +150,7 @@ def hung_cloth(
 ) -> MassSpring:
     """Build a grid hung by its first row, at rest in `shape` [m], shape (rows, cols, 3)."""
     rows, cols = shape.shape[:2]
-    families = grid_pairs(rows, cols)
-    pairs = np.concatenate(list(families.values()))
-    nodes = shape.reshape(-1, 3)
-    rest_length = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
-    k = np.concatenate([np.full(len(p), stiffness[name]) for name, p in families.items()])
-    springs = Springs(pairs, k, np.full(len(pairs), damping), rest_length)
+    springs = grid_springs(rows, cols, shape.reshape(-1, 3), stiffness, damping)
     return MassSpring(springs, np.full(rows * cols, mass / (rows * cols)), np.arange(cols))
 
 

@@ -328,7 +328,7 @@ def test_every_parameter_checks_its_type(name: str, kind: Any, limits: dict[str,
         assert refused_as(name, [value] if in_list else value) == (
             f'{name}: expected {item.__name__}, got {value!r}'
         )
-        if in_list and not isinstance(value, list):
+        if in_list and not isinstance(value, (list, dict)):
             assert refused_as(name, value) == f'{name}: expected a list, got {value!r}'
 
 

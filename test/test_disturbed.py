@@ -1,4 +1,4 @@
-"""Unknown forces as states: derivatives, the joined solve, their variance, and that they are found."""
+"""Unknown forces as states: derivatives, the joined solve, variance, and that they are found."""
 
 import numpy as np
 import pytest
@@ -103,7 +103,9 @@ def force_variance_ratio(name, dt):
     return kept
 
 
-@pytest.mark.parametrize(('name', 'order', 'lead'), [('implicit_euler', 1, 1 / 2), ('rk4', 2, 1 / 3)])
+@pytest.mark.parametrize(
+    ('name', 'order', 'lead'), [('implicit_euler', 1, 1 / 2), ('rk4', 2, 1 / 3)]
+)
 def test_variance_of_the_force_is_stationary(name, order, lead):
     """The deviation is lead (dt/tau)^order: (2+2h+h^2)/(2+h) - 1 and h coth(h) - 1, h = dt/tau."""
     steps = np.array([0.02, 0.01, 0.005])
@@ -144,7 +146,9 @@ def test_a_constant_force_is_found():
     model = Disturbed(mesh, tau)
     kalman = ExtendedKalmanFilter(ImplicitEuler())
     truth = np.append(flat[2:], np.zeros(12))
-    belief = Gaussian(np.append(truth, np.zeros(12)), np.diag([1e-8] * 12 + [0.01] * 12 + [0.01] * 12))
+    belief = Gaussian(
+        np.append(truth, np.zeros(12)), np.diag([1e-8] * 12 + [0.01] * 12 + [0.01] * 12)
+    )
     q = np.repeat([0.0, 1e-6, 2 * sigma**2 / tau], 12)
     obs = VisiblePositions.of_nodes(np.arange(4), 3e-4)
     for _ in range(300):

@@ -52,10 +52,7 @@ def test_track_equals_a_textbook_filter_of_three_coordinates(motion):
         last = [dt**k / factorial(k) for k in range(order)][::-1]
         Q = np.array(
             [
-                [
-                    density * a * b * dt / (2 * order - 1 - i - j)
-                    for j, b in enumerate(last)
-                ]
+                [density * a * b * dt / (2 * order - 1 - i - j) for j, b in enumerate(last)]
                 for i, a in enumerate(last)
             ]
         )

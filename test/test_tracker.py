@@ -211,7 +211,9 @@ def test_start_with_missing_markers_fills_in_the_mean_of_the_neighbours(hidden):
     pairs = grid_pairs(3, 3)['structural'].tolist()
     for node in hidden:
         beside = [b if a == node else a for a, b in pairs if node in (a, b)]
-        np.testing.assert_allclose(filled[node], filled[beside].mean(axis=0), atol=1e-14)  # rounding
+        np.testing.assert_allclose(
+            filled[node], filled[beside].mean(axis=0), atol=1e-14
+        )  # rounding
     expected = np.zeros(9)
     expected[hidden] = 0.2  # m, the shorter side of a cell of 0.2 x 0.3 m
     np.testing.assert_allclose(spread, expected, atol=1e-15)  # rounding
@@ -307,6 +309,7 @@ def test_moving_anchors_are_followed_and_extrapolated():
     config = settings(
         model={'gravity': [0.0, 0.0, 0.0]},
         anchors={'motion': 'constant_velocity', 'process_noise': 1e-4},
+        force={'kind': 'none'},
         filter={'measurement_noise': 1e-5, 'initial_velocity': 1.0},
     )
     stamps = np.arange(60) * 10 * MS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,20 @@ def grid_pairs(rows: int, cols: int) -> dict[str, IntArray]:
         'shear': _pairs(rows, cols, ((1, 1), (1, -1))),
         'flexion': _pairs(rows, cols, ((0, 2), (2, 0))),
     }
+
+
+def grid_springs(
+    rows: int, cols: int, shape: FloatArray, stiffness: Mapping[str, float], damping: float
+) -> Springs:
+    """Springs of a grid at rest in `shape` [m], shape (rows * cols, 3).
+
+    stiffness [N/m] by spring family; damping [N s/m] of every spring.
+    """
+    families = grid_pairs(rows, cols)
+    pairs = np.concatenate(list(families.values()))
+    k = np.concatenate([np.full(len(p), stiffness[name]) for name, p in families.items()])
+    rest_length = np.linalg.norm(shape[pairs[:, 0]] - shape[pairs[:, 1]], axis=1)
+    return Springs(pairs, k, np.full(len(pairs), damping), rest_length)
 
 
 def _pairs(rows: int, cols: int, offsets: tuple[tuple[int, int], ...]) -> IntArray:
