@@ -10,6 +10,7 @@ import dataclasses
 import difflib
 import math
 import typing
+from array import array
 from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
@@ -216,7 +217,7 @@ def load(path: Path) -> Config:
         document = parse_yaml(path.read_text(encoding='utf-8'))
     except OSError as error:
         raise ConfigError(f'{path}: {error.strerror}') from None
-    except (YAMLError, UnicodeDecodeError) as error:
+    except (YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(f'{path}: not YAML: {" ".join(str(error).split())}') from None
     try:
         values = document['/**']['ros__parameters']
@@ -263,7 +264,7 @@ def _build(kind: type, values: Any, source: str, prefix: str) -> Any:
 
 def _value(hint: Any, value: Any, limits: typing.Mapping[str, Any], name: str) -> Any:
     if typing.get_origin(hint) is tuple:
-        if isinstance(value, str) or not hasattr(value, '__iter__'):
+        if not isinstance(value, (list, tuple, array)):  # ROS gives arrays of numbers
             raise ConfigError(f'{name}: expected a list, got {value!r}')
         item = typing.get_args(hint)[0]
         items = tuple(_scalar(item, v, limits, name) for v in value)
@@ -274,6 +275,8 @@ def _value(hint: Any, value: Any, limits: typing.Mapping[str, Any], name: str) -
 
 
 def _scalar(kind: type, value: Any, limits: typing.Mapping[str, Any], name: str) -> Any:
+    if isinstance(value, int) and value.bit_length() > 63:
+        raise ConfigError(f'{name}: the number does not fit into 64 bits')
     accepted = (int, float) if kind is float else kind
     if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
         raise ConfigError(f'{name}: expected {kind.__name__}, got {value!r}')
@@ -297,6 +300,8 @@ def _check_range(number: Any, limits: typing.Mapping[str, Any], name: str) -> No
 
 
 def _check_together(config: Config, source: str) -> None:
+    if len(set(config.labels)) != len(config.labels):
+        raise ConfigError(f'{source}: labels: a label is listed twice')
     nodes = config.model.rows * config.model.cols
     outside = [node for node in config.anchors.nodes if node >= nodes]
     if outside:

@@ -6,6 +6,9 @@ from __future__ import annotations
 class ClothPredictError(ValueError):
     """Base of all known errors; the command line prints it as one line and exits with 1."""
 
+    def __init__(self, message: str) -> None:
+        super().__init__(' '.join(message.splitlines()))
+
 
 class ConfigError(ClothPredictError):
     """A configuration that cannot be used: names the file and the parameter."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,12 +24,16 @@ from cloth_predict.formats.pointcloud import (
     decode,
     encode_markers,
     fields_of,
+    whole,
     xyz,
 )
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 CLOUD = 'sensor_msgs/msg/PointCloud2'
+LATEST = 2**31 * 10**9
+"""First time [ns] that a ROS message cannot hold."""
+
 MOST_MARKERS = 100_000
 """Largest marker id that is believed; a larger one is a cloud of something else."""
 
@@ -68,12 +73,14 @@ class Recording:
 class BagWriter:
     """Writes messages with log and publish time equal to their stamp."""
 
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
+    def __init__(self, writer: Writer, path: Path) -> None:
+        self._writer, self._path = writer, path
         self._connections: dict[str, Connection] = {}
 
     def cloud(self, topic: str, stamp: int, frame_id: str, points: NDArray[np.void]) -> None:
         """Write structured points, shape (width,) or (height, width), at stamp [ns]."""
+        if not 0 <= stamp < LATEST:
+            raise FormatError(f'{self._path}: a message cannot hold the stamp {stamp} ns')
         self.message(topic, CLOUD, stamp, cloud_message(stamp, frame_id, points))
 
     def message(self, topic: str, msgtype: str, stamp: int, message: Any) -> None:
@@ -93,7 +100,7 @@ def create_bag(path: Path, labels: tuple[str, ...] = ()) -> Iterator[BagWriter]:
 
     A bag that this project made before is replaced; anything else at `path` is an error.
     """
-    if path.exists() and not _is_own(path):
+    if os.path.exists(path) and not _is_own(path):
         raise FormatError(f'{path}: exists and was not made by cloth-predict; not overwritten')
     partial = path.parent / f'.{path.name}.partial'
     shutil.rmtree(partial, ignore_errors=True)
@@ -104,7 +111,7 @@ def create_bag(path: Path, labels: tuple[str, ...] = ()) -> Iterator[BagWriter]:
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         writer.set_custom_data(OWN_KEY, json.dumps({'labels': labels}))
         with writer:
-            yield BagWriter(writer)
+            yield BagWriter(writer, path)
         if path.exists():
             shutil.rmtree(path)
         (partial / 'bag').rename(path)
@@ -192,7 +199,10 @@ def _read_clouds(
 
 def _labels(reader: Reader) -> tuple[str, ...]:
     custom = reader.storage.metadata.custom or {}
-    return tuple(json.loads(custom.get(OWN_KEY, '{}')).get('labels', ()))
+    labels = json.loads(custom.get(OWN_KEY, '{"labels": []}'))['labels']
+    if not all(isinstance(label, str) for label in labels) or len(set(labels)) < len(labels):
+        raise ValueError(f'the custom data {OWN_KEY} holds no list of different labels')
+    return tuple(labels)
 
 
 def _is_own(path: Path) -> bool:
@@ -238,7 +248,7 @@ def _columns(message: Any) -> tuple[IntArray, FloatArray]:
     """Columns, shape (points,), and positions [m]; the k-th unlabelled point is column -1 - k."""
     track = ('track',) if 'track' in [field.name for field in message.fields] else ()
     points = decode(message, ('x', 'y', 'z', 'id', *track)).ravel()
-    columns = points['track' if track else 'id'].astype(np.int64)
+    columns = whole(points, 'track' if track else 'id')
     unlabelled = columns == UNLABELLED
     if columns[~unlabelled].max(initial=0) > MOST_MARKERS:
         raise FrameError(f'marker id {columns[~unlabelled].max()} is above {MOST_MARKERS}')
@@ -253,7 +263,7 @@ def _truth(clouds: list[tuple[int, Any]], markers: int, source: str) -> Truth:
         grids = [decode(message, ('x', 'y', 'z', 'id')) for _, message in clouds]
     except FrameError as error:
         raise FormatError(f'{source}: {error}') from None
-    ids = grids[0]['id'].astype(np.int64)
+    ids = whole(grids[0], 'id')
     ids[ids == UNLABELLED] = -1
     if any(grid.shape != ids.shape for grid in grids):
         raise FormatError(f'{source}: the surface changes its size')

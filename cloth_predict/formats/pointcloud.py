@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_predict.errors import FrameError
-from cloth_predict.types import BoolArray, FloatArray, Surface
+from cloth_predict.types import BoolArray, FloatArray, IntArray, Surface
 
 UNLABELLED = 0xFFFFFFFF
 """The `id` of a point that the mocap system did not identify."""
@@ -55,6 +55,9 @@ def decode(message: Any, required: tuple[str, ...]) -> NDArray[np.void]:
             names.append(field.name)
             formats.append(np.dtype(_NAMES[field.datatype]).newbyteorder(order))
             offsets.append(field.offset)
+    if len(set(names)) != len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise FrameError(f'field {twice!r} of the cloud is there twice')
     missing = [name for name in required if name not in names]
     if missing:
         found = ', '.join(field.name for field in message.fields) or 'none'
@@ -82,6 +85,17 @@ def xyz(points: NDArray[np.void]) -> FloatArray:
     return np.column_stack([flat[axis] for axis in 'xyz']).astype(float)
 
 
+def whole(points: NDArray[np.void], name: str) -> IntArray:
+    """Return an integer field, shape (points,).
+
+    Raises FrameError where it holds no integers, or negative ones.
+    """
+    values = points[name]
+    if values.dtype.kind not in 'iu' or (values < 0).any():
+        raise FrameError(f'field {name!r} of the cloud is not a whole number from zero')
+    return values.astype(np.int64)
+
+
 def encode_markers(
     positions: FloatArray, visible: BoolArray, unlabelled: BoolArray
 ) -> NDArray[np.void]:
@@ -102,8 +116,8 @@ def decode_markers(message: Any, nodes: int) -> tuple[FloatArray, BoolArray, int
     Raises FrameError for a cloud with other fields, an id that is no node, or an id given twice.
     """
     points = decode(message, ('x', 'y', 'z', 'id')).ravel()
-    labelled = points[points['id'] != UNLABELLED]
-    ids = labelled['id'].astype(np.int64)
+    every = whole(points, 'id')
+    labelled, ids = points[every != UNLABELLED], every[every != UNLABELLED]
     if ids.size and ids.max() >= nodes:
         raise FrameError(f'marker id {ids.max()} does not fit a model of {nodes} nodes')
     if len(np.unique(ids)) != len(ids):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from cloth_predict.errors import FormatError
@@ -14,7 +15,7 @@ def read(path: Path) -> Recording:
 
     Raises FormatError with one line that names the file and what is wrong with it.
     """
-    if not path.exists():
+    if not os.path.exists(path):  # a name too long for any file is an error of Path.exists
         raise FormatError(f'{path}: no such file or folder')
     if path.is_dir() or path.suffix in ('.mcap', '.db3'):
         return read_recording(path)
