@@ -133,10 +133,21 @@ class LinearAt:
     slope: np.ndarray
 
     def solver(self, dt):
-        return lambda b: np.linalg.solve(np.eye(len(self.A)) - dt * self.A, b)
+        return DenseSolver(np.eye(len(self.A)) - dt * self.A)
 
     def step_slope(self, w):
         return sparse.csr_array(self.A)
+
+
+@dataclass
+class DenseSolver:
+    N: np.ndarray
+
+    def __call__(self, b):
+        return np.linalg.solve(self.N, b)
+
+    def transposed(self, b):
+        return np.linalg.solve(self.N.T, b)
 
 
 def damped_oscillators(rng, count):

@@ -57,6 +57,8 @@ def test_solver_equals_a_dense_solve(example):
     solve = model.linearise(x, u).solver(dt)
     np.testing.assert_allclose(solve(b), expected, atol=1e-10)  # rounding, condition 1e4
     np.testing.assert_allclose(solve(b[:, 0]), expected[:, 0], atol=1e-10)  # the same
+    expected = np.linalg.solve(matrix.T, b)
+    np.testing.assert_allclose(solve.transposed(b), expected, atol=1e-10)  # the same
 
 
 def test_step_slope_equals_central_differences(example):

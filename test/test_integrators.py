@@ -107,6 +107,13 @@ def test_jacobian_of_the_step_equals_central_differences(name, rest, disturbed):
     # entries of 1 to 1e3; rounding: 1e-16 of velocities of 10 m/s over the step of 1e-7
     np.testing.assert_allclose(step_jac, expected, atol=3e-8 * np.abs(expected).max())
 
+    also_after, pull = method.step_pull(model, x, u, dt)
+    np.testing.assert_array_equal(also_after, after)
+    rows = rng.normal(size=(7, model.dim_x))
+    pulled = rows @ step_jac
+    # rounding of two solves with a condition number of 1e3
+    np.testing.assert_allclose(pull(rows), pulled, atol=1e-13 * np.abs(pulled).max())
+
 
 def test_implicit_step_is_stable_where_the_explicit_ones_blow_up():
     # Gomes 2016, section 6.4: k = 300 N/m, m = 0.017 kg, one step per 0.1 s

@@ -269,6 +269,9 @@ def test_solver_equals_a_dense_solve(rows, cols, driven, rest):
     tolerance = 1e-15 * np.linalg.cond(matrix) * np.abs(expected).max()  # rounding of both solves
     np.testing.assert_allclose(solve(b), expected, atol=tolerance)
     np.testing.assert_allclose(solve(b[:, 1]), expected[:, 1], atol=tolerance)
+    expected = np.linalg.solve(matrix.T, b)
+    tolerance *= np.abs(expected).max() / np.abs(solve(b)).max()  # of the other solution's size
+    np.testing.assert_allclose(solve.transposed(b), expected, atol=tolerance)
 
 
 def test_step_equals_equation_3_32_where_all_springs_are_stretched():

@@ -69,7 +69,9 @@ def assert_same(found, expected):
 @pytest.mark.parametrize('motion', ['fixed', 'constant_velocity'])
 def test_irregular_stamps_and_missing_markers_equal_stepping_by_hand(motion):
     noise = 0.0 if motion == 'fixed' else 2.0
-    config = settings(anchors={'motion': motion, 'process_noise': noise})
+    config = settings(
+        anchors={'motion': motion, 'process_noise': noise}, filter={'predict_step': 0.015}
+    )
     stamps = 10**18 + np.cumsum([0, 10, 4, 13, 27, 10, 1, 35, 10]) * MS
     positions = moving(config, stamps - 10**18)
     visible = np.random.default_rng(2).random((9, 9)) < 0.7
@@ -111,8 +113,8 @@ def test_irregular_stamps_and_missing_markers_equal_stepping_by_hand(motion):
     np.testing.assert_allclose(estimate.sigma[3:], np.sqrt(variance), rtol=1e-6)  # 1e-9 of 1e-3 m
 
     belief = Gaussian(x, P)
-    for part in range(1, 5):
-        belief = kalman.predict(belief, model, driven(part * 0.035 / 4), q, 0.035 / 4)
+    for part in range(1, 4):
+        belief = kalman.predict(belief, model, driven(part * 0.035 / 3), q, 0.035 / 3)
     ahead = tracker.predict(0.035)
     assert ahead.stamp == stamps[-1] + 35 * MS
     expected, _ = mesh.surface(belief.mean[:36], driven(0.035))
@@ -164,7 +166,7 @@ def test_the_longest_gap_is_still_followed():
 
 
 def test_without_any_marker_the_surface_runs_on(capfd):
-    config = settings()
+    config = settings(filter={'predict_step': 0.01})
     stamps = (np.arange(30) * 10 * MS).tolist()
     tracker = followed(config, stamps, moving(config, stamps))
     ahead = tracker.predict(0.03)
@@ -304,22 +306,27 @@ def test_an_estimate_that_diverges_is_started_anew():
 # --- anchors
 
 
-def test_moving_anchors_are_followed_and_extrapolated():
+@pytest.mark.parametrize(('step', 'bound'), [(0.02, 2e-3), (0.002, 2e-5)])
+def test_moving_anchors_are_followed_and_extrapolated(step, bound):
     """A surface without weight that glides along: every node keeps its speed."""
     config = settings(
         model={'gravity': [0.0, 0.0, 0.0]},
         anchors={'motion': 'constant_velocity', 'process_noise': 1e-4},
         force={'kind': 'none'},
-        filter={'measurement_noise': 1e-5, 'initial_velocity': 1.0},
+        filter={'measurement_noise': 1e-5, 'initial_velocity': 1.0, 'predict_step': step},
     )
     stamps = np.arange(60) * 10 * MS
     speed = np.array([0.3, -0.1, 0.2])
     positions = rest_shape(config.model) + stamps[:, None, None] / 1e9 * speed
     tracker = followed(config, stamps.tolist(), positions)
+    # exact markers; left are the linearised steps, which see the anchors run ahead by 4 mm
+    np.testing.assert_allclose(tracker.estimate().position, positions[-1], atol=1e-6)
+    np.testing.assert_allclose(tracker.estimate().velocity, np.tile(speed, (9, 1)), atol=1e-4)
     found = tracker.predict(0.2)
-    # exact markers; what is left of a first guess of no speed: under 1 mm/s
-    np.testing.assert_allclose(found.velocity, np.tile(speed, (9, 1)), atol=1e-3)
-    np.testing.assert_allclose(found.position, positions[-1] + 0.2 * speed, atol=2e-4)
+    # the same over the whole horizon: 1.3 mm when written, and 0.012 mm with a tenth of the step
+    np.testing.assert_allclose(found.position, positions[-1] + 0.2 * speed, atol=bound)
+    # the anchors themselves know no springs
+    np.testing.assert_allclose(found.velocity[:3], np.tile(speed, (3, 1)), atol=1e-6)
     sigma = [tracker.predict(h).sigma[0] for h in (0.0, 0.1, 0.2)]
     assert sigma[0] < sigma[1] < sigma[2]
 
