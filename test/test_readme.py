@@ -87,6 +87,18 @@ def test_command(command, folder):
     assert ended.stdout.strip()
 
 
+def test_table_of_errors_is_what_evaluate_finds(folder):
+    found = {}
+    for line in (folder / 'out' / 'evaluate' / 'table_100ms.txt').read_text().splitlines()[2:]:
+        name, *numbers = line.split()
+        found[name] = [float(number) for number in numbers[:4]]
+    told = re.findall(r'^\| `(\w+)`: [^|]*\|([^\n]*)\|$', TEXT, re.MULTILINE)
+    assert [name for name, _ in told] == list(found)
+    for name, cells in told:
+        numbers = [float(cell) for cell in cells.split('|')]
+        assert numbers == pytest.approx(found[name], abs=0.06), name  # one digit is printed
+
+
 def test_python_example(monkeypatch):
     monkeypatch.chdir(ROOT)
     space = {}

@@ -365,7 +365,9 @@ def test_measured_rest_lengths_are_those_of_the_first_frame():
     expected = np.linalg.norm(first[i] - first[j], axis=1)
     np.testing.assert_allclose(springs.rest_length, expected, rtol=1e-15)  # rounding
     config = settings(model={'height': 0.6, 'stiffness_shear': 5.0, 'stiffness_flexion': 7.0})
-    springs = build_mass_spring(config, first).springs
+    mesh = build_mass_spring(config, first)
+    springs = mesh.springs
+    np.testing.assert_allclose(mesh.mass, 0.05 / 9, rtol=1e-15)  # rounding
     # 12 structural, 8 shear, 6 flexion springs of a 0.2 x 0.3 m cell; rounding
     sizes = [0.2] * 6 + [0.3] * 6 + [np.hypot(0.2, 0.3)] * 8 + [0.4] * 3 + [0.6] * 3
     np.testing.assert_allclose(springs.rest_length, sizes, rtol=1e-14)
