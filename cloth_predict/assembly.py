@@ -40,26 +40,44 @@ def build_mass_spring(config: Config, surface: FloatArray) -> MassSpring:
 def complete(
     model: ModelConfig, positions: FloatArray, visible: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Fill in the nodes that are not visible by the mean of their neighbours.
+    """Fill in the nodes that are not visible.
 
-    Returns positions [m], shape (nodes, 3), and a standard deviation [m], shape (nodes,): zero
-    where measured, the length of the shortest side of a cell where filled in.
+    The rest shape is laid onto the visible nodes, and its displacement from them carried on to the
+    hidden ones as the mean of their neighbours'. Returns positions [m], shape (nodes, 3), and a
+    standard deviation [m], shape (nodes,): zero where measured, the length of the shortest side of
+    a cell where filled in.
     """
     spread = np.zeros(len(positions))
     if visible.all():
         return positions, spread
+    shape = rest_shape(model)
+    laid = aligned(shape, positions, visible)
     pairs = grid_pairs(model.rows, model.cols)['structural']
     i, j = pairs.T
     graph = sparse.coo_array((np.ones(len(pairs)), (i, j)), shape=(len(positions),) * 2)
     laplacian = sparse.csr_array(sparse.csgraph.laplacian(graph + graph.T))
-    hidden = np.flatnonzero(~visible)
-    seen = np.flatnonzero(visible)
-    right = -(laplacian[hidden][:, seen] @ positions[seen])
+    hidden, seen = np.flatnonzero(~visible), np.flatnonzero(visible)
+    right = -(laplacian[hidden][:, seen] @ (positions[seen] - laid[seen]))
+    carried = spsolve(sparse.csc_array(laplacian[hidden][:, hidden]), right).reshape(-1, 3)
     filled = positions.copy()
-    filled[hidden] = spsolve(sparse.csc_array(laplacian[hidden][:, hidden]), right).reshape(-1, 3)
-    shape = rest_shape(model)
+    filled[hidden] = laid[hidden] + carried
     spread[hidden] = np.linalg.norm(shape[i] - shape[j], axis=1).min()
     return filled, spread
+
+
+def aligned(shape: FloatArray, positions: FloatArray, visible: BoolArray) -> FloatArray:
+    """Lay a shape [m], (nodes, 3), onto the visible positions [m] by a least-squares rigid motion.
+
+    Where they leave a turn open (all on a line), the smallest turn is taken.
+    """
+    from_, to = shape[visible], positions[visible]
+    from_mean, to_mean = from_.mean(axis=0), to.mean(axis=0)
+    covariance = (to - to_mean).T @ (from_ - from_mean)
+    # far below what any two nodes contribute, so that it decides only what they leave open
+    covariance += 1e-6 * (np.linalg.norm(covariance) + 1e-12) * np.eye(3)
+    u, _, vt = np.linalg.svd(covariance)
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return np.asarray((shape - from_mean) @ turn.T + to_mean)
 
 
 def disturbed(config: Config, mesh: MassSpring) -> MassSpring | Disturbed:

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from cloth_predict import __version__
 from cloth_predict import commands as run
+from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictError
 from cloth_predict.share import find
 from cloth_predict.simulate import SCENARIOS
@@ -67,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.config().json()
     evaluate.add(
         '--horizon',
-        type=_positive,
+        type=_horizon,
         nargs='+',
         metavar='S',
         help='how far ahead to predict, in seconds; default: the configured one',
@@ -106,6 +107,13 @@ def _positive(text: str) -> float:
     value = float(text)
     if not 0 < value < float('inf'):
         raise argparse.ArgumentTypeError(f'{text} is not a positive number')
+    return value
+
+
+def _horizon(text: str) -> float:
+    value, most = _positive(text), Config.__dataclass_fields__['horizon'].metadata['high']
+    if value > most:
+        raise argparse.ArgumentTypeError(f'{text} s is more than {most} s')
     return value
 
 

@@ -10,6 +10,7 @@ from cloth_predict import config as configuration
 from cloth_predict import simulate as simulation
 from cloth_predict.association import markers_of_nodes
 from cloth_predict.config import Config
+from cloth_predict.errors import FormatError
 from cloth_predict.evaluation import METHODS, Evaluation
 from cloth_predict.evaluation import evaluate as compare
 from cloth_predict.formats.bag import Recording, create_bag, write_recording
@@ -72,16 +73,32 @@ def evaluate(
     markers = markers_of_nodes(recording.markers, config, str(source))
     reference = reference_of(recording, markers)
     chosen = horizons or [config.horizon]
+    if output is not None:
+        make_folder(output)
     total = len(chosen) * len(METHODS) * len(markers)
     found = [
-        compare(markers, config, h, reference, progress=lambda done: progress(done, total))
+        compare(
+            markers,
+            config,
+            h,
+            reference,
+            progress=lambda done: progress(done, total),
+            source=str(source),
+        )
         for h in chosen
     ]
     if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
         for evaluation in found:
             report(evaluation, config, output, f'_{1e3 * evaluation.horizon:g}ms')
     return found
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder for results. Raises FormatError where that cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FormatError(f'{path}: cannot be written: {error.strerror}') from None
 
 
 def reference_of(recording: Recording, markers: MarkerSequence) -> MarkerSequence | None:

@@ -141,6 +141,7 @@ def evaluate(
     reference: MarkerSequence | None = None,
     methods: dict[str, Callable[[Config], Predictor]] | None = None,
     progress: Callable[[int], None] = lambda frames: None,
+    source: str = 'the recording',
 ) -> Evaluation:
     """Run every method over the recording and judge its predictions `horizon` [s] ahead.
 
@@ -151,7 +152,7 @@ def evaluate(
     predicted, seconds = {}, {}
     for name, make in (METHODS if methods is None else methods).items():
         predicted[name], seconds[name] = predict_all(make(config), markers, horizon, progress)
-    return judge(markers, config, horizon, reference or markers, predicted, seconds)
+    return judge(markers, config, horizon, reference or markers, predicted, seconds, source)
 
 
 def judge(
@@ -161,10 +162,12 @@ def judge(
     reference: MarkerSequence,
     predicted: dict[str, FloatArray],
     seconds: dict[str, float],
+    source: str = 'the recording',
 ) -> Evaluation:
     """Compare predictions made at each frame of `markers`, (frames, markers, 3), with a reference.
 
-    Only what every method predicted and the reference shows is counted.
+    Only what every method predicted and the reference shows is counted. Raises FormatError naming
+    the source where that is nothing.
     """
     targets = markers.stamps + round(horizon * NANOSECONDS)
     actual, counted = at_times(reference, targets)
@@ -174,7 +177,7 @@ def judge(
     judged = counted.any(axis=1)
     if not judged.any():
         raise FormatError(
-            f'no frame can be judged: the recording lasts '
+            f'{source}: no frame can be judged: the recording lasts '
             f'{(markers.stamps[-1] - markers.stamps[0]) / NANOSECONDS:.2f} s, of which the first '
             f'{WARM_UP} s are the warm-up and the last {horizon} s have no later measurement'
         )

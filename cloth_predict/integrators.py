@@ -132,4 +132,4 @@ INTEGRATORS: dict[str, Integrator] = {
     'rk4': RungeKutta(RK4),
     'implicit_euler': ImplicitEuler(),
 }
-"""The choices of `integrator.kind`; a new method is one entry."""
+"""The choices of `filter.integrator`; a new method is one entry."""

@@ -81,7 +81,8 @@ class Tracker:
     def _check(self, positions: FloatArray, visible: BoolArray) -> None:
         if positions.shape != (self.nodes, 3) or visible.shape != (self.nodes,):
             raise FrameError(
-                f'{len(positions)} markers, but model.rows x model.cols has {self.nodes} nodes'
+                f'positions {positions.shape} and visible {visible.shape}, but model.rows x '
+                f'model.cols has {self.nodes} nodes'
             )
         bad = visible & ~np.isfinite(positions).all(axis=1)
         if bad.any():

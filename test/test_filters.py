@@ -161,6 +161,14 @@ def test_an_update_without_markers_changes_nothing(surface):
     assert (innovation.nis, innovation.residual.shape) == (0.0, (0,))
 
 
+def test_an_update_without_markers_prints_nothing(surface, capfd):
+    # LAPACK complains of an empty matrix on stdout, where `evaluate --json` writes
+    _, _, _, belief = surface
+    obs = VisiblePositions.of_nodes(np.zeros(0, np.int64), SIGMA)
+    ExtendedKalmanFilter(ImplicitEuler()).update(belief, obs, np.zeros(0))
+    assert capfd.readouterr() == ('', '')
+
+
 # --- run ahead
 
 

@@ -256,6 +256,9 @@ def test_noise_and_dropout_have_the_statistics_asked_for():
     assert np.abs(noise.mean(axis=0)).max() < 4 * 3e-4 / np.sqrt(39_000)  # four deviations
     correlation = np.corrcoef(noise.T)[np.triu_indices(3, 1)]
     assert np.abs(correlation).max() < 4 / np.sqrt(39_000)  # four deviations
+    half = measure(truth, np.random.default_rng(5), dropout=0.5).visible
+    assert half[0].all()  # by chance once in 2^20
+    assert half[1:].mean() == pytest.approx(0.5, abs=0.01)  # four deviations of 0.5 / sqrt(39,980)
     clean = measure(truth, np.random.default_rng(5), noise=0.0, dropout=0.0)
     np.testing.assert_array_equal(clean.positions, exact)
 

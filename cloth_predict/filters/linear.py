@@ -35,9 +35,11 @@ def condition(
     selects = np.issubdtype(jac.dtype, np.integer)
     cross = belief.cov[jac] if selects else jac @ belief.cov
     innovation_cov = cross[:, jac] if selects else cross @ jac.T
+    if not residual.size:  # nothing seen, nothing learnt; LAPACK complains of empty systems
+        return belief, Innovation(residual, innovation_cov, 0.0)
     innovation_cov = innovation_cov + (np.diag(noise) if noise.ndim == 1 else noise)
     lower, failed = lapack.dpotrf(innovation_cov, lower=1)
-    if failed:
+    if failed or not np.isfinite(lower[-1, -1]):  # a NaN passes through LAPACK to the last pivot
         raise FloatingPointError('the innovation covariance is not positive definite')
     both = np.column_stack([cross, residual])
     white, _ = lapack.dtrtrs(lower, both, lower=1)

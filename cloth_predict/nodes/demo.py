@@ -96,7 +96,9 @@ def demo(bag: Path, config_path: Path, output: Path, progress: Callable[[int, in
     latency = _latencies(arrivals['markers'], arrivals['cloth/prediction'], settings.horizon)
     predicted['ekf_live'], seconds['ekf_live'] = live, float(np.mean(latency)) * len(markers) / 1e3
     reference = commands.reference_of(source, markers) or markers
-    evaluation = judge(markers, settings, settings.horizon, reference, predicted, seconds)
+    evaluation = judge(
+        markers, settings, settings.horizon, reference, predicted, seconds, str(bag)
+    )
     counts = {
         'frames_published': len(source.markers),
         'frames_predicted': len(arrivals['cloth/prediction']),
