@@ -265,9 +265,9 @@ def test_late_markers_are_compared_from_when_they_are_seen() -> None:
 )
 def test_a_recording_that_is_too_short(frames: int, horizon: float, text: str) -> None:
     with pytest.raises(FormatError) as caught:
-        evaluate(moving(GRID[:frames]), config(), horizon, methods={'hold': Hold})
+        evaluate(moving(GRID[:frames]), config(), horizon, methods={'hold': Hold}, source='here')
     assert str(caught.value) == (
-        f'no frame can be judged: the recording lasts {text} s, of which the first 1.0 s are the '
+        f'here: no frame can be judged: the recording lasts {text} s, of which the first 1.0 s are the '
         f'warm-up and the last {horizon} s have no later measurement'
     )
 
