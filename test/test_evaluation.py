@@ -267,8 +267,8 @@ def test_a_recording_that_is_too_short(frames: int, horizon: float, text: str) -
     with pytest.raises(FormatError) as caught:
         evaluate(moving(GRID[:frames]), config(), horizon, methods={'hold': Hold}, source='here')
     assert str(caught.value) == (
-        f'here: no frame can be judged: the recording lasts {text} s, of which the first 1.0 s are '
-        f'the warm-up and the last {horizon} s have no later measurement'
+        f'here: no frame can be judged: the recording lasts {text} s, of which the first 1.0 s '
+        f'are the warm-up and the last {horizon} s have no later measurement'
     )
 
 

@@ -222,6 +222,8 @@ def test_rows_with_padding(padding: int) -> None:
     cloud = message(grid, data=data, row_step=3 * 16 + padding)
     assert decode(cloud, XYZ_ID)['id'].tolist() == [[0, 1, 2], [3, 4, 5]]
     assert unpacked(cloud, 6)[0] == [[k] * 3 for k in range(6)]
+    cut = message(grid, data=data[:-1], row_step=3 * 16 + padding)
+    assert refused(cut) == 'the sizes of the cloud do not fit its data'
 
 
 @pytest.mark.parametrize(
