@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -32,6 +33,7 @@ def simulate(
 
 def convert(source: Path, output: Path) -> MarkerSequence:
     """Turn a recording of any known format into a bag."""
+    keep_source(source, output)
     recording = read(source)
     write_recording(output, recording)
     return recording.markers
@@ -39,6 +41,7 @@ def convert(source: Path, output: Path) -> MarkerSequence:
 
 def predict(source: Path, config_path: Path, output: Path, progress: Progress) -> Counter[str]:
     """Write the estimate and the prediction of every frame; returns what became of the frames."""
+    keep_source(source, output)
     config = configuration.load(config_path)
     markers = markers_of_nodes(read(source).markers, config, str(source))
     tracker = Tracker(config)
@@ -91,6 +94,13 @@ def evaluate(
         for evaluation in found:
             report(evaluation, config, output, f'_{1e3 * evaluation.horizon:g}ms')
     return found
+
+
+def keep_source(source: Path, output: Path) -> None:
+    """Raise FormatError where the output would replace what it is made from."""
+    both_there = os.path.exists(source) and os.path.exists(output)
+    if both_there and os.path.samefile(source, output):
+        raise FormatError(f'{output}: is the recording itself; choose another output')
 
 
 def make_folder(path: Path) -> None:

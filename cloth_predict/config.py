@@ -111,10 +111,10 @@ class FilterConfig:
         'implicit_euler', 'step in time', choices=('euler', 'rk4', 'implicit_euler')
     )
     max_step: float = param(
-        0.01, 'longest step from frame to frame; a longer interval is split', 's', above=0
+        0.01, 'longest step from frame to frame; a longer interval is split', 's', low=1e-4
     )
     predict_step: float = param(
-        0.02, 'longest step of a prediction; a longer horizon is split', 's', above=0
+        0.02, 'longest step of a prediction; a longer horizon is split', 's', low=1e-4
     )
     process_noise: float = param(
         1.0, 'spectral density of the unknown acceleration of each free node', 'm^2/s^3', low=0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isnan
 from typing import Protocol
 
 import numpy as np
@@ -128,7 +129,10 @@ class Evaluation:
             'horizon_s': self.horizon,
             'frames': len(self.targets),
             'methods': {
-                name: {**vars(found), 'us_per_frame': self.us_per_frame[name]}
+                name: {
+                    **{k: None if isnan(v) else v for k, v in vars(found).items()},
+                    'us_per_frame': self.us_per_frame[name],
+                }
                 for name, found in self.scores.items()
             },
         }

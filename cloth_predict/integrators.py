@@ -49,7 +49,8 @@ class RungeKutta:
         """State after dt [s], shape (dim_x,)."""
         slopes: list[FloatArray] = []
         for row in self.tableau.a:
-            slopes.append(model.f(x + dt * _combine(row, slopes), u))
+            stage_u = model.input_after(u, dt * sum(row))
+            slopes.append(model.f(x + dt * _combine(row, slopes), stage_u))
         return np.asarray(x + dt * _combine(self.tableau.b, slopes))
 
     def step_jac(
@@ -61,9 +62,10 @@ class RungeKutta:
         slope_jacs: list[FloatArray] = []
         for row in self.tableau.a:
             stage = x + dt * _combine(row, slopes)
-            slopes.append(model.f(stage, u))
+            stage_u = model.input_after(u, dt * sum(row))
+            slopes.append(model.f(stage, stage_u))
             stage_jac = identity + dt * _combine(row, slope_jacs)
-            slope_jacs.append(np.asarray(model.jac(stage, u) @ stage_jac))
+            slope_jacs.append(np.asarray(model.jac(stage, stage_u) @ stage_jac))
         return (
             np.asarray(x + dt * _combine(self.tableau.b, slopes)),
             np.asarray(identity + dt * _combine(self.tableau.b, slope_jacs)),
@@ -89,6 +91,9 @@ def _combine(weights: tuple[float, ...], terms: list[FloatArray]) -> FloatArray 
 class ImplicitEuler:
     """Linearised backward Euler: (I - dt J) dx = dt f(x) (Gomes 2016, eq. 3.32 in state form).
 
+    Where the input moves in the step, dt df/du u' joins f, so that a surface carried along with
+    its driven nodes keeps its shape exactly.
+
     Needs a model that offers the solve (`StiffDynamics`). Stable at steps where an explicit
     method is not; first order.
     """
@@ -98,7 +103,7 @@ class ImplicitEuler:
     def step(self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float) -> FloatArray:
         """State after dt [s], shape (dim_x,)."""
         at = cast('StiffDynamics', model).linearise(x, u)
-        return x + at.solver(dt)(dt * at.slope)
+        return x + at.solver(dt)(at.increment(dt))
 
     def step_jac(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
@@ -111,8 +116,8 @@ class ImplicitEuler:
         """
         at = cast('StiffDynamics', model).linearise(x, u)
         solve = at.solver(dt)
-        change = solve(dt * at.slope)
-        step_jac = solve(dt * at.step_slope(change).toarray())
+        change = solve(at.increment(dt))
+        step_jac = solve(dt * at.step_slope(change, dt).toarray())
         step_jac.flat[:: model.dim_x + 1] += 1.0
         return x + change, step_jac
 
@@ -122,8 +127,8 @@ class ImplicitEuler:
         """State after dt [s] and the map of rows W to W F: a solve, without ever making F."""
         at = cast('StiffDynamics', model).linearise(x, u)
         solve = at.solver(dt)
-        change = solve(dt * at.slope)
-        slope = dt * at.step_slope(change).T
+        change = solve(at.increment(dt))
+        slope = dt * at.step_slope(change, dt).T
         return x + change, lambda rows: rows + (slope @ solve.transposed(rows.T)).T
 
 

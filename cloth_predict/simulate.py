@@ -111,6 +111,10 @@ class Scene:
             u[6 * len(self.cloth.driven) :] = self.wind_force(x, u).ravel()
         return np.append(self.cloth.f(x[:-1], u), 1.0)
 
+    def input_after(self, u: FloatArray, dt: float) -> FloatArray:
+        """Input of the cloth: what it hangs from stands still."""
+        return u
+
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Not needed by an explicit step, and not offered."""
         raise TypeError('a scene is simulated by explicit steps only')

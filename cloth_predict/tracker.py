@@ -69,13 +69,21 @@ class Tracker:
         return self._surface(belief.mean, np.diagonal(belief.cov)[rows], 0.0)
 
     def predict(self, horizon: float) -> Surface:
-        """Return the surface `horizon` [s] after the last frame, by running the model there."""
+        """Return the surface `horizon` [s] after the last frame, by running the model there.
+
+        Raises FrameError where there is no surface yet, or none that is finite.
+        """
         belief = self._started_belief()
         steps, dt = split(horizon, self.config.filter.predict_step)
-        inputs = [self._input((k + 1) * dt) for k in range(steps)]
-        mean, variance = self._filter.forecast(
-            belief, self._model, inputs, self._noise, dt, self._position_rows()
-        )
+        inputs = [self._input(k * dt, dt) for k in range(steps)]
+        try:
+            mean, variance = self._filter.forecast(
+                belief, self._model, inputs, self._noise, dt, self._position_rows()
+            )
+        except FloatingPointError as error:
+            raise FrameError(f'the prediction fails: {error}') from None
+        if not (np.isfinite(mean).all() and np.isfinite(variance).all()):
+            raise FrameError('the prediction is not finite: the model is too stiff for the step')
         return self._surface(mean, variance, horizon)
 
     def _check(self, positions: FloatArray, visible: BoolArray) -> None:
@@ -135,8 +143,7 @@ class Tracker:
                 track.update(positions[node])
         steps, part = split(dt, self.config.filter.max_step)
         for k in range(steps):
-            # the input at the end of each part, counted back from the frame
-            u = self._input((k + 1) * part - dt)
+            u = self._input(k * part - dt, part)
             belief = self._filter.predict(belief, self._model, u, self._noise, part)
         seen = np.flatnonzero(visible[self._mesh.free])
         obs = VisiblePositions.of_nodes(seen, self.config.filter.measurement_noise)
@@ -147,11 +154,15 @@ class Tracker:
         self._belief = belief
         return innovation
 
-    def _input(self, ahead: float) -> FloatArray:
+    def _input(self, ahead: float, dt: float = 0.0) -> FloatArray:
+        """Input at `ahead` [s] after the last frame, with the mean velocities over dt [s] then."""
         if not self._tracks:
             return self._mesh.input()
-        derivatives = np.array([track.extrapolate(ahead) for track in self._tracks])
-        return self._mesh.input(derivatives[:, 0], derivatives[:, 1])
+        now = np.array([track.extrapolate(ahead) for track in self._tracks])
+        if not dt:
+            return self._mesh.input(now[:, 0], now[:, 1])
+        then = np.array([track.extrapolate(ahead + dt)[0] for track in self._tracks])
+        return self._mesh.input(now[:, 0], (then - now[:, 0]) / dt)
 
     def _started_belief(self) -> Gaussian:
         if self._belief is None:

@@ -140,6 +140,9 @@ class Dynamics(Protocol):
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f with respect to x, shape (dim_x, dim_x)."""
 
+    def input_after(self, u: FloatArray, dt: float) -> FloatArray:
+        """Input dt [s] later, as far as the input itself tells (driven nodes have velocities)."""
+
 
 class StepSolver(Protocol):
     """Solves with N = I - dt J~ and with its transpose."""
@@ -158,15 +161,14 @@ class Linearised(Protocol):
     accounts for it, so that the step's own Jacobian is exact all the same.
     """
 
-    @property
-    def slope(self) -> FloatArray:
-        """Time derivative f, shape (dim_x,)."""
+    def increment(self, dt: float) -> FloatArray:
+        """Return dt (f + dt df/du u'): what the step's matrix is solved for, shape (dim_x,)."""
 
     def solver(self, dt: float) -> StepSolver:
         """Return the solver of N = I - dt J~."""
 
-    def step_slope(self, w: FloatArray) -> sparse.csr_array:
-        """Derivative of f(x) + J~(x) w with respect to x for a fixed w, shape (dim_x, dim_x)."""
+    def step_slope(self, w: FloatArray, dt: float) -> sparse.csr_array:
+        """Derivative of f + dt df/du u' + J~ w by x, for a fixed w, shape (dim_x, dim_x)."""
 
 
 class StiffDynamics(Dynamics, Protocol):

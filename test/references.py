@@ -123,6 +123,9 @@ class Linear:
     def jac(self, x, u):
         return sparse.csr_array(self.A)
 
+    def input_after(self, u, dt):
+        return u
+
     def linearise(self, x, u):
         return LinearAt(self.A, self.A @ x)
 
@@ -132,10 +135,13 @@ class LinearAt:
     A: np.ndarray
     slope: np.ndarray
 
+    def increment(self, dt):
+        return dt * self.slope
+
     def solver(self, dt):
         return DenseSolver(np.eye(len(self.A)) - dt * self.A)
 
-    def step_slope(self, w):
+    def step_slope(self, w, dt):
         return sparse.csr_array(self.A)
 
 

@@ -567,8 +567,8 @@ THREE = [('x', 'f4'), ('y', 'f4'), ('z', 'f4')]
     [
         ([(1, 2, 3)], THREE, "the cloud has no field 'id' (fields: x, y, z)"),
         ([(1, 2)], [('x', 'f4'), ('id', 'u4')], "the cloud has no field 'y' (fields: x, id)"),
-        ([(1, 2, 3, 100_001)], MARKERS, 'marker id 100001 is above 100000'),
-        ([(1, 2, 3, 2**32 - 2)], MARKERS, 'marker id 4294967294 is above 100000'),
+        ([(1, 2, 3, 4097)], MARKERS, 'marker id 4097 is above 4096'),
+        ([(1, 2, 3, 2**32 - 2)], MARKERS, 'marker id 4294967294 is above 4096'),
         ([(1, 2, 3, 5), (4, 5, 6, 5)], MARKERS, 'a marker id is there twice'),
         ([(1, 2, 3, UNLABELLED, 5)] * 2, TRACKS, 'a marker id is there twice'),
         ([(1, 2, 3, -2)], [*THREE, ('id', 'i4')], ''),

@@ -21,8 +21,8 @@ NO_INPUT = np.zeros(0)
 
 
 def run(method, model, x, u, dt, steps):
-    for _ in range(steps):
-        x = method.step(model, x, u, dt)
+    for k in range(steps):
+        x = method.step(model, x, model.input_after(u, k * dt), dt)
     return x
 
 
@@ -53,7 +53,12 @@ def test_order_of_convergence_on_a_surface(name):
     x[21:] *= 0.1
     end = 0.02
     exact = solve_ivp(
-        lambda t, y: model.f(y, u), (0, end), x, method='DOP853', rtol=1e-13, atol=1e-13
+        lambda t, y: model.f(y, model.input_after(u, t)),
+        (0, end),
+        x,
+        method='DOP853',
+        rtol=1e-13,
+        atol=1e-13,
     ).y[:, -1]
     counts = np.array([16, 32, 64] if name == 'rk4' else [128, 256, 512])
     errors = [
@@ -67,9 +72,10 @@ def test_the_classic_method_by_hand():
     model, x, u = random_surface(np.random.default_rng(3), 2, 3, (1,))
     dt = 0.004
     k1 = model.f(x, u)
-    k2 = model.f(x + dt / 2 * k1, u)
-    k3 = model.f(x + dt / 2 * k2, u)
-    k4 = model.f(x + dt * k3, u)
+    middle, end = model.input_after(u, dt / 2), model.input_after(u, dt)
+    k2 = model.f(x + dt / 2 * k1, middle)
+    k3 = model.f(x + dt / 2 * k2, middle)
+    k4 = model.f(x + dt * k3, end)
     expected = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     found = RungeKutta(RK4).step(model, x, u, dt)
     np.testing.assert_allclose(found, expected, atol=1e-13)  # rounding of velocities of 1 m/s

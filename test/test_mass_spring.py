@@ -336,8 +336,8 @@ def test_inputs_are_never_written_to():
     b = np.ones(model.dim_x)
     b.flags.writeable = False
     at.solver(0.01)(b)
-    first = at.step_slope(b).toarray()
-    np.testing.assert_array_equal(at.step_slope(b).toarray(), first)
+    first = at.step_slope(b, 0.01).toarray()
+    np.testing.assert_array_equal(at.step_slope(b, 0.01).toarray(), first)
     np.testing.assert_array_equal(x, before[0])
     np.testing.assert_array_equal(u, before[1])
 

@@ -83,9 +83,12 @@ def test_irregular_stamps_and_missing_markers_equal_stepping_by_hand(motion):
     model, kalman = Disturbed(mesh, 0.3), ExtendedKalmanFilter(ImplicitEuler())
     tracks = [KinematicTrack(motion, noise, 1e-3, positions[0, k], 0.5) for k in range(3)]
 
-    def driven(ahead):
-        ends = np.array([track.extrapolate(ahead) for track in tracks])
-        return mesh.input(ends[:, 0], ends[:, 1])
+    def driven(ahead, dt=None):
+        now = np.array([track.extrapolate(ahead) for track in tracks])
+        if dt is None:
+            return mesh.input(now[:, 0], now[:, 1])
+        then = np.array([track.extrapolate(ahead + dt) for track in tracks])
+        return mesh.input(now[:, 0], (then - now)[:, 0] / dt)
 
     x = np.concatenate([positions[0, 3:].ravel(), np.zeros(36)])
     P = np.diag(np.repeat([1e-6, 0.25, 0.01], 18))
@@ -96,8 +99,8 @@ def test_irregular_stamps_and_missing_markers_equal_stepping_by_hand(motion):
             track.predict(dt)
             if visible[k, node]:
                 track.update(positions[k, node])
-        for part in range(1, parts + 1):
-            u = driven(part * dt / parts - dt)
+        for part in range(parts):
+            u = driven(part * dt / parts - dt, dt / parts)
             belief = kalman.predict(Gaussian(x, P), model, u, q, dt / parts)
             x, P = belief.mean, belief.cov
         seen = np.flatnonzero(visible[k, 3:])
@@ -114,8 +117,9 @@ def test_irregular_stamps_and_missing_markers_equal_stepping_by_hand(motion):
     np.testing.assert_allclose(estimate.sigma[3:], np.sqrt(variance), rtol=1e-6)  # 1e-9 of 1e-3 m
 
     belief = Gaussian(x, P)
-    for part in range(1, 4):
-        belief = kalman.predict(belief, model, driven(part * 0.035 / 3), q, 0.035 / 3)
+    for part in range(3):
+        u = driven(part * 0.035 / 3, 0.035 / 3)
+        belief = kalman.predict(belief, model, u, q, 0.035 / 3)
     ahead = tracker.predict(0.035)
     assert ahead.stamp == stamps[-1] + 35 * MS
     expected, _ = mesh.surface(belief.mean[:36], driven(0.035))
@@ -459,3 +463,21 @@ def test_on_a_towel_sigma_tells_the_error(towel):
     assert np.sqrt(np.mean(np.square(errors))) < 2.2e-4
     # 0.92 when written; 1 for a filter whose model is the truth, which a coarser mesh is not
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ('integrator', 'step'), [('implicit_euler', 0.02), ('rk4', 0.001)], ids=['implicit', 'rk4']
+)
+def test_a_surface_carried_along_with_its_driven_nodes_keeps_its_shape(integrator, step):
+    config = settings(
+        model={'gravity': (0.0, 0.0, 0.0)},
+        anchors={'motion': 'constant_velocity', 'process_noise': 1.0},
+        filter={'integrator': integrator, 'max_step': step / 2, 'predict_step': step},
+    )
+    tracker, flat = Tracker(config), rest_shape(config.model)
+    velocity = np.array([1.0, 0.7, -0.4])
+    for k in range(60):
+        tracker.step(10 * k * MS, flat + velocity * 0.01 * k, EVERY)
+    # 1e-6 m: what is left of the start, when the velocity was not yet known
+    expected = flat + velocity * (0.59 + 0.1)
+    np.testing.assert_allclose(tracker.predict(0.1).position, expected, atol=1e-6)

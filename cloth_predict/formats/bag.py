@@ -34,7 +34,7 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 LATEST = 2**31 * 10**9
 """First time [ns] that a ROS message cannot hold."""
 
-MOST_MARKERS = 100_000
+MOST_MARKERS = 4096
 """Largest marker id that is believed; a larger one is a cloud of something else."""
 
 OWN_KEY = 'cloth_predict'
@@ -112,13 +112,22 @@ def create_bag(path: Path, labels: tuple[str, ...] = ()) -> Iterator[BagWriter]:
         writer.set_custom_data(OWN_KEY, json.dumps({'labels': labels}))
         with writer:
             yield BagWriter(writer, path)
-        if path.exists():
-            shutil.rmtree(path)
-        (partial / 'bag').rename(path)
+        _replace(partial / 'bag', path)
     except OSError as error:
         raise FormatError(f'{path}: cannot be written: {error.strerror or error}') from None
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def _replace(new: Path, path: Path) -> None:
+    """Move a finished bag to its place; other files in the folder of the old one stay."""
+    if not path.exists():
+        new.rename(path)
+        return
+    for old in path.glob('*.mcap'):
+        old.unlink()
+    for file in new.iterdir():
+        file.replace(path / file.name)
 
 
 def cloud_message(stamp: int, frame_id: str, points: NDArray[np.void]) -> Any:
@@ -227,13 +236,14 @@ def _sequence(
         if bad.any():
             column = int(columns[int(bad.argmax())])
             name = labels[column] if 0 <= column < len(labels) else f'marker{column}'
+            name = 'a point without a label' if column < 0 else name
             raise FormatError(f'{source}: message {k}: {name} has a coordinate that is not finite')
         frames.append((columns, positions))
     every = np.concatenate([columns for columns, _ in frames])
-    if not every.size:
+    if not every.size and not labels:
         raise FormatError(f'{source}: no markers in any message')
-    known = max(len(labels), int(every.max()) + 1)
-    strangers = max(0, -int(every.min()))
+    known = max(len(labels), int(every.max(initial=-1)) + 1)
+    strangers = max(0, -int(every.min(initial=0)))
     names = labels + tuple(f'marker{i}' for i in range(len(labels), known))
     names += tuple(f'Unlabeled {i}' for i in range(strangers))
     stacked = np.full((len(frames), len(names), 3), np.nan)
@@ -270,4 +280,6 @@ def _truth(clouds: list[tuple[int, Any]], markers: int, source: str) -> Truth:
     if not set(range(markers)) <= set(ids.ravel().tolist()):
         raise FormatError(f'{source}: not every marker is on the surface')
     surface = np.array([xyz(grid).reshape(*ids.shape, 3) for grid in grids])
+    if not np.isfinite(surface).all():
+        raise FormatError(f'{source}: a coordinate is not finite')
     return Truth(np.array([stamp for stamp, _ in clouds], np.int64), surface, ids)

@@ -99,11 +99,17 @@ def whole(points: NDArray[np.void], name: str) -> IntArray:
 def encode_markers(
     positions: FloatArray, visible: BoolArray, unlabelled: BoolArray
 ) -> NDArray[np.void]:
-    """Pack the visible markers of one frame, shape (visible,); the id is the marker's column."""
+    """Pack the visible markers of one frame, shape (visible,); the id is the marker's column.
+
+    Raises FrameError for a coordinate beyond float32.
+    """
     columns = np.flatnonzero(visible)
     points = np.zeros(len(columns), TRACKS if unlabelled.any() else MARKERS)
-    for k, axis in enumerate('xyz'):
-        points[axis] = positions[columns, k]
+    with np.errstate(over='ignore'):
+        for k, axis in enumerate('xyz'):
+            points[axis] = positions[columns, k]
+            if not np.isfinite(points[axis]).all():
+                raise FrameError('a coordinate does not fit into a float32')
     points['id'] = np.where(unlabelled[columns], UNLABELLED, columns)
     if unlabelled.any():
         points['track'] = columns

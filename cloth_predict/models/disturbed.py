@@ -54,12 +54,14 @@ class Disturbed:
         """Derivative of f with respect to x, shape (dim_x, dim_x)."""
         return self.join(self.model.jac(x[: self.model.dim_x], u))
 
+    def input_after(self, u: FloatArray, dt: float) -> FloatArray:
+        """Input of the model dt [s] later."""
+        return self.model.input_after(u, dt)
+
     def linearise(self, x: FloatArray, u: FloatArray) -> _Linearised:
         """Return the model and its forces at (x, u)."""
-        inner = self.model.linearise(x[: self.model.dim_x], u)
-        force = x[self.model.dim_x :]
-        slope = np.concatenate([inner.slope + self.gain @ force, -force / self.tau])
-        return _Linearised(self, inner, slope)
+        inner, force = np.split(x, [self.model.dim_x])
+        return _Linearised(self, self.model.linearise(inner, u), force)
 
     def join(self, inner: sparse.csr_array) -> sparse.csr_array:
         """Return [[inner, G], [0, -I / tau]]."""
@@ -74,16 +76,21 @@ class _Linearised:
 
     model: Disturbed
     inner: Linearised
-    slope: FloatArray
+    force: FloatArray
+
+    def increment(self, dt: float) -> FloatArray:
+        """Increment of the model under the forces, and of the forces."""
+        pushed = self.inner.increment(dt) + dt * (self.model.gain @ self.force)
+        return np.concatenate([pushed, -dt * self.force / self.model.tau])
 
     def solver(self, dt: float) -> _StepSolver:
         """Solver of the implicit step."""
         decay = 1.0 + dt / self.model.tau
         return _StepSolver(self.inner.solver(dt), dt * self.model.gain, decay)
 
-    def step_slope(self, w: FloatArray) -> sparse.csr_array:
+    def step_slope(self, w: FloatArray, dt: float) -> sparse.csr_array:
         """The forces enter linearly: only the model's part depends on w."""
-        return self.model.join(self.inner.step_slope(w[: self.model.model.dim_x]))
+        return self.model.join(self.inner.step_slope(w[: self.model.model.dim_x], dt))
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,13 @@ class MassSpring:
         stiffness = self._blocks.gather(self._shape(x, u).stiffness(self.springs, clamp=False))
         return self._blocks.state_matrix(self._weighted(stiffness), self._jav)
 
+    def input_after(self, u: FloatArray, dt: float) -> FloatArray:
+        """Input dt [s] later: the driven nodes go on with their velocities."""
+        size = 3 * len(self.driven)
+        after = u.copy()
+        after[:size] += dt * u[size : 2 * size]
+        return after
+
     def jac_force(self) -> sparse.csr_array:
         """Derivative of f with respect to a force on each free node, shape (6 free, 3 free)."""
         n = 3 * len(self.free)
@@ -112,7 +119,9 @@ class MassSpring:
     def linearise(self, x: FloatArray, u: FloatArray) -> _Linearised:
         """Return what an implicit step needs at x, from one look at the geometry."""
         shape = self._shape(x, u)
-        return _Linearised(self, shape, self._f(x, u, shape))
+        size = 3 * len(self.driven)
+        driven = u[size : 2 * size].reshape(-1, 3)
+        return _Linearised(self, shape, self._f(x, u, shape), driven)
 
     def _f(self, x: FloatArray, u: FloatArray, shape: _Shape) -> FloatArray:
         s, n = self.springs, 3 * len(self.free)
@@ -163,6 +172,11 @@ class _Shape:
         blocks[:, ::4] += across[:, None]
         return blocks
 
+    def resistance(self, springs: Springs, change: FloatArray) -> FloatArray:
+        """Force [N] of the clamped blocks against a change of offsets [m], both (springs, 3)."""
+        blocks = self.stiffness(springs, clamp=True).reshape(-1, 3, 3)
+        return np.asarray(-np.einsum('sij,sj->si', blocks, change))
+
     def stiffness_change(self, springs: Springs, w: FloatArray) -> FloatArray:
         """Derivative of the clamped block times w, (springs, 3), by the offset, (springs, 9).
 
@@ -189,6 +203,26 @@ class _Linearised:
     model: MassSpring
     shape: _Shape
     slope: FloatArray
+    driven_velocity: FloatArray
+
+    def increment(self, dt: float) -> FloatArray:
+        """Return dt (f + dt df/du u'): the driven nodes move on within the step."""
+        if not self.driven_velocity.any():
+            return dt * self.slope
+        m, n = self.model, 3 * len(self.model.free)
+        force = self.shape.resistance(m.springs, self._spring_change(np.zeros(n), dt))
+        increment = dt * self.slope
+        pulled = (m._blocks.incidence @ force) * m._inverse_mass[:, None]
+        increment[n:] += dt * pulled.ravel()
+        return increment
+
+    def _spring_change(self, w: FloatArray, dt: float) -> FloatArray:
+        """Change of the offsets [m], (springs, 3), in a step that changes the state by w."""
+        m = self.model
+        change = np.zeros((m.nodes, 3))
+        change[m.free] = w[: 3 * len(m.free)].reshape(-1, 3)
+        change[m.driven] = dt * self.driven_velocity
+        return change[m._i] - change[m._j]
 
     def solver(self, dt: float) -> _StepSolver:
         """Solver of an implicit step: (3.32) multiplied by the masses, by a Cholesky factor.
@@ -203,14 +237,11 @@ class _Linearised:
         mass = np.repeat(m.mass[m.free], 3)[:, None]
         return _StepSolver(dt, mass, blocks.matrix(stiffness), blocks.cholesky(matrix))
 
-    def step_slope(self, w: FloatArray) -> sparse.csr_array:
+    def step_slope(self, w: FloatArray, dt: float) -> sparse.csr_array:
         """J(x) and the derivative of J~(x) w for a fixed w, added up, shape (dim_x, dim_x)."""
-        m = self.model
-        change = np.zeros((m.nodes, 3))
-        change[m.free] = w[: 3 * len(m.free)].reshape(-1, 3)
+        m, blocks = self.model, self.model._blocks
         springs = self.shape.stiffness(m.springs, clamp=False)
-        springs += self.shape.stiffness_change(m.springs, change[m._i] - change[m._j])
-        blocks = m._blocks
+        springs += self.shape.stiffness_change(m.springs, self._spring_change(w, dt))
         return blocks.state_matrix(m._weighted(blocks.gather(springs)), m._jav)
 
 

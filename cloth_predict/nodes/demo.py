@@ -76,6 +76,7 @@ def demo(bag: Path, config_path: Path, output: Path, progress: Callable[[int, in
 
     Raises ClothPredictError where the inputs do not fit or a node ends early.
     """
+    commands.keep_source(bag, output)
     settings = config.load(config_path)
     source = read(bag)
     markers = in_order(markers_of_nodes(source.markers, settings, str(bag)))

@@ -52,7 +52,10 @@ class EkfNode(ConfiguredNode):
             return
         self._step, self._visible = step, int(visible.sum())
         if self._tracker.started:
-            self._publish()
+            try:
+                self._publish()
+            except FrameError as error:
+                self._diagnostics.drop('unpredicted', str(error))
         self._diagnostics.frame(time.perf_counter() - begin)
 
     def _publish(self) -> None:
