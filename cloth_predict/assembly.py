@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from cloth_predict.config import Config, ModelConfig
-from cloth_predict.models.disturbed import Disturbed
+from cloth_predict.models.disturbed import Disturbed, ForceProcess
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_pairs, grid_springs
 from cloth_predict.types import BoolArray, FloatArray, Gaussian
@@ -31,7 +31,9 @@ def build_mass_spring(config: Config, surface: FloatArray) -> MassSpring:
         'shear': model.stiffness_shear,
         'flexion': model.stiffness_flexion,
     }
-    springs = grid_springs(model.rows, model.cols, shape, stiffness, model.damping)
+    springs = grid_springs(
+        model.rows, model.cols, shape, stiffness, model.damping, model.compression
+    )
     nodes = model.rows * model.cols
     mass = np.full(nodes, model.mass / nodes)
     return MassSpring(springs, mass, config.anchors.nodes, model.gravity)
@@ -80,20 +82,31 @@ def aligned(shape: FloatArray, positions: FloatArray, visible: BoolArray) -> Flo
     return np.asarray((shape - from_mean) @ turn.T + to_mean)
 
 
+def force_process(config: Config) -> ForceProcess | None:
+    """Return how the unknown forces change, or None where there are none."""
+    kinds = {
+        'ornstein_uhlenbeck': ForceProcess.ornstein_uhlenbeck,
+        'matern': ForceProcess.matern,
+    }
+    make = kinds.get(config.force.kind)
+    return make(config.force.sigma, config.force.tau) if make else None
+
+
 def disturbed(config: Config, mesh: MassSpring) -> MassSpring | Disturbed:
     """Add the unknown forces to the states where they are configured."""
-    return mesh if config.force.kind == 'none' else Disturbed(mesh, config.force.tau)
+    process = force_process(config)
+    return mesh if process is None else Disturbed(mesh, process)
 
 
 def process_noise(config: Config, mesh: MassSpring) -> FloatArray:
     """Spectral densities of the noise on each state, shape (dim_x,).
 
-    Unknown acceleration on the velocities; 2 sigma^2 / tau on the forces, where there are any.
+    Unknown acceleration on the velocities, and what drives the unknown forces.
     """
-    size, force = 3 * len(mesh.free), config.force
+    size, process = 3 * len(mesh.free), force_process(config)
     densities = [np.zeros(size), np.full(size, config.filter.process_noise)]
-    if force.kind != 'none':
-        densities.append(np.full(size, 2 * force.sigma**2 / force.tau))
+    if process is not None:
+        densities += [np.zeros(size)] * (len(process.drift) - 1) + [np.full(size, process.density)]
     return np.concatenate(densities)
 
 
@@ -105,13 +118,13 @@ def first_belief(
     spread [m], shape (nodes,): how uncertain the position is beyond the noise of a marker.
     """
     size, settings = 3 * len(mesh.free), config.filter
-    deviations = [
-        np.repeat(settings.measurement_noise + spread[mesh.free], 3),
-        np.full(size, settings.initial_velocity),
+    variances = [
+        np.repeat(settings.measurement_noise + spread[mesh.free], 3) ** 2,
+        np.full(size, settings.initial_velocity) ** 2,
     ]
-    if config.force.kind != 'none':
-        deviations.append(np.full(size, config.force.sigma))
-    variance = np.concatenate(deviations) ** 2
+    if (process := force_process(config)) is not None:
+        variances += [np.full(size, variance) for variance in process.variance]
+    variance = np.concatenate(variances)
     mean = np.zeros(len(variance))
     mean[:size] = surface[mesh.free].ravel()
     return Gaussian(mean, np.diag(variance))

@@ -66,6 +66,9 @@ class ModelConfig:
     stiffness_shear: float = param(60.0, 'springs to the 4 diagonal neighbours', 'N/m', low=0)
     stiffness_flexion: float = param(60.0, 'springs to the nodes 2 away', 'N/m', low=0)
     damping: float = param(0.1, 'damper of every spring', 'N s/m', low=0)
+    compression: float = param(
+        1.0, 'share of its stiffness that a compressed spring has; cloth buckles', low=0, high=1
+    )
     gravity: tuple[float, ...] = param(
         (0.0, -9.81, 0.0), 'gravity in the mocap frame', 'm/s^2', length=3
     )
@@ -95,8 +98,8 @@ class ForceConfig:
 
     kind: str = param(
         'none',
-        'one force per free node as a state, or none',
-        choices=('none', 'ornstein_uhlenbeck'),
+        'one force per free node as a state: rough, smooth, or none',
+        choices=('none', 'ornstein_uhlenbeck', 'matern'),
     )
     sigma: float = param(0.1, 'standard deviation of each component of the force', 'N', above=0)
     tau: float = param(0.3, 'time over which the force forgets', 's', above=0)

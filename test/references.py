@@ -176,7 +176,7 @@ def lengths(pairs, position):
     return np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
 
 
-def random_surface(rng, rows, cols, driven=(), rest=(0.7, 1.3)):
+def random_surface(rng, rows, cols, driven=(), rest=(0.7, 1.3), compression=1.0):
     """Mesh whose springs, masses and gravity all differ, and a state and input far from rest.
 
     `rest`: range of the rest lengths, relative to the lengths in the state.
@@ -189,6 +189,7 @@ def random_surface(rng, rows, cols, driven=(), rest=(0.7, 1.3)):
         rng.uniform(20, 90, len(pairs)),
         rng.uniform(0.05, 0.2, len(pairs)),
         lengths(pairs, position) * rng.uniform(*rest, len(pairs)),
+        compression,
     )
     mass = rng.uniform(0.01, 0.03, rows * cols)
     model = MassSpring(springs, mass, driven, rng.normal(0, 5, 3))

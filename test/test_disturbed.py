@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from references import central_differences, even_surface, order_of, random_surface
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_continuous_lyapunov
 
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.linear import propagate
 from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
-from cloth_predict.models.disturbed import Disturbed
+from cloth_predict.models.disturbed import Disturbed, ForceProcess
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import Gaussian
 
@@ -164,3 +164,58 @@ def test_a_constant_force_is_found():
     # no noise in the markers, so what is left is the pull to zero over tau between corrections
     np.testing.assert_allclose(found, force, atol=1e-3)
     assert np.sqrt(belief.cov[-1, -1]) < 0.1 * sigma  # and the filter knows that it has found it
+
+
+# --- a smooth force, with its rate
+
+
+@pytest.fixture
+def smooth():
+    """As `example`, with a Matern process."""
+    rng = np.random.default_rng(1)
+    model, x, u = random_surface(rng, 3, 4, (0, 3), rest=(0.6, 1.6))
+    process = ForceProcess.matern(0.2, TAU)
+    return Disturbed(model, process), np.append(x, rng.normal(0, 0.2, 60)), u
+
+
+def test_smooth_force_jacobian_equals_central_differences(smooth):
+    model, x, u = smooth
+    assert model.dim_x == 120
+    expected = central_differences(lambda y: model.f(y, u), x, 1e-6)
+    # entries up to 4e4 1/s^2; rounding 1e-9 of that
+    atol = 1e-8 * np.abs(expected).max()
+    np.testing.assert_allclose(model.jac(x, u).toarray(), expected, atol=atol)
+    np.testing.assert_allclose(expected[60:90, 90:], np.eye(30), atol=1e-8)  # F' is the rate
+
+
+@pytest.mark.parametrize('name', sorted(INTEGRATORS))
+def test_smooth_force_step_jacobian_equals_central_differences(smooth, name):
+    model, x, u = smooth
+    method = INTEGRATORS[name]
+    dt = 0.01 if name == 'implicit_euler' else 0.002
+    expected = central_differences(lambda y: method.step(model, y, u, dt), x, 1e-6)
+    after, found = method.step_jac(model, x, u, dt)
+    # entries up to 1e2; rounding of 1 m/s over the step of the difference, 1e-10
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+    rows = np.random.default_rng(3).normal(size=(4, 120))
+    pulled_after, pull = method.step_pull(model, x, u, dt)
+    np.testing.assert_allclose(pull(rows), rows @ found, atol=1e-10)  # rounding
+    np.testing.assert_array_equal(pulled_after, after)
+
+
+@pytest.mark.parametrize('make', [ForceProcess.ornstein_uhlenbeck, ForceProcess.matern])
+def test_variance_at_rest_solves_the_lyapunov_equation(make):
+    process = make(0.2, 0.7)
+    noise = np.zeros_like(process.drift)
+    noise[-1, -1] = process.density
+    at_rest = solve_continuous_lyapunov(process.drift, -noise)
+    # rounding of numbers below 1
+    np.testing.assert_allclose(at_rest, np.diag(process.variance), atol=1e-14)
+    assert at_rest[0, 0] == pytest.approx(0.04, rel=1e-12)
+
+
+def test_matern_covariance_over_time():
+    """(1 + t/tau) exp(-t/tau), which is that of smoothness 3/2."""
+    process, t = ForceProcess.matern(1.0, 0.4), 0.3
+    carried = expm(process.drift * t) @ np.diag(process.variance)
+    assert carried[0, 0] == pytest.approx((1 + t / 0.4) * np.exp(-t / 0.4), rel=1e-12)

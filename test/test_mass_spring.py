@@ -385,3 +385,34 @@ PAIR = np.array([[0, 1]])
 def test_invalid_arguments_are_named(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+# --- springs that resist compression less
+
+
+def test_a_compressed_spring_pushes_with_its_share_of_the_stiffness():
+    springs = Springs(np.array([[0, 1]]), 50.0, 0.0, 1.0, compression=0.2)
+    model = MassSpring(springs, np.ones(2), gravity=np.zeros(3))
+    for length, force in ((1.3, -50.0 * 0.3), (0.7, 0.2 * 50.0 * 0.3)):
+        x = np.zeros(12)
+        x[3] = length
+        # the force on the second node, along x; rounding
+        assert model.acceleration(x, model.input())[1, 0] == pytest.approx(force, rel=1e-14)
+
+
+@pytest.mark.parametrize('compression', [0.0, 0.3])
+def test_jacobians_with_springs_that_resist_compression_less(compression):
+    rng = np.random.default_rng(21)
+    model, x, u = random_surface(rng, 3, 4, (0, 3), rest=(0.6, 1.6), compression=compression)
+    expected = central_differences(lambda y: model.f(y, u), x, 1e-6)
+    atol = 1e-8 * np.abs(expected).max()  # rounding, 1e-9 of the largest entry
+    np.testing.assert_allclose(model.jac(x, u).toarray(), expected, atol=atol)
+    method = ImplicitEuler()
+    expected = central_differences(lambda y: method.step(model, y, u, 0.01), x, 1e-6)
+    _, found = method.step_jac(model, x, u, 0.01)
+    np.testing.assert_allclose(found, expected, atol=1e-7)  # entries up to 1e2; rounding
+
+
+def test_compression_is_a_share():
+    with pytest.raises(ValueError, match='compression'):
+        Springs(np.array([[0, 1]]), 1.0, 0.0, 1.0, compression=1.1)

@@ -1,4 +1,4 @@
-"""Adds the force that a model does not know as states: an Ornstein-Uhlenbeck process per input."""
+"""Adds the forces that a model does not know as states: a Gauss-Markov process per input."""
 
 from __future__ import annotations
 
@@ -18,27 +18,51 @@ class Forced(StiffDynamics, Protocol):
         """Derivative of f with respect to the forces, shape (dim_x, forces); constant."""
 
 
-class Disturbed:
-    """Any model with its unknown forces [N] as states: x = [x_model; F], F' = -F / tau + noise.
+@dataclass(frozen=True)
+class ForceProcess:
+    """How one unknown force [N] changes: y' = drift y + noise on the last entry, y[0] the force.
 
-    With noise of spectral density 2 sigma^2 / tau each force has standard deviation sigma [N] and
-    is forgotten over tau [s].
+    drift, shape (order, order); density, of the noise; variance, shape (order,), at rest.
     """
 
-    def __init__(self, model: Forced, tau: float) -> None:
-        """Wrap a model; tau [s] must be positive."""
-        if tau <= 0:
-            raise ValueError('tau must be positive')
-        self.model = model
-        self.tau = tau
+    drift: FloatArray
+    density: float
+    variance: FloatArray
+
+    @classmethod
+    def ornstein_uhlenbeck(cls, sigma: float, tau: float) -> ForceProcess:
+        """F' = -F / tau + noise: standard deviation sigma [N], forgotten over tau [s]; rough."""
+        return cls(np.array([[-1 / tau]]), 2 * sigma**2 / tau, np.array([sigma**2]))
+
+    @classmethod
+    def matern(cls, sigma: float, tau: float) -> ForceProcess:
+        """F'' = -F / tau^2 - 2 F' / tau + noise: smooth, with a rate that carries it on.
+
+        The Matern process of smoothness 3/2, its scale tau [s] (Rasmussen & Williams 2006,
+        appendix B.2).
+        """
+        drift = np.array([[0.0, 1.0], [-1 / tau**2, -2 / tau]])
+        return cls(drift, 4 * sigma**2 / tau**3, np.array([sigma**2, (sigma / tau) ** 2]))
+
+
+class Disturbed:
+    """Any model with its unknown forces as states: x = [x_model; forces; their rates, if any]."""
+
+    def __init__(self, model: Forced, process: ForceProcess | float) -> None:
+        """Wrap a model; a number stands for an Ornstein-Uhlenbeck process with that tau [s]."""
+        if isinstance(process, (int, float)):
+            if process <= 0:
+                raise ValueError('tau must be positive')
+            process = ForceProcess.ornstein_uhlenbeck(1.0, process)
+        self.model, self.process = model, process
         self.gain = model.jac_force()
-        self._forces = int(self.gain.shape[1])
+        self.forces = int(self.gain.shape[1])
         self._joined: _Joined | None = None
 
     @property
     def dim_x(self) -> int:
-        """States of the model and its forces."""
-        return self.model.dim_x + self._forces
+        """States of the model, and of the force process for each force."""
+        return self.model.dim_x + len(self.process.drift) * self.forces
 
     @property
     def dim_u(self) -> int:
@@ -47,8 +71,9 @@ class Disturbed:
 
     def f(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Time derivative of the state, shape (dim_x,)."""
-        inner, force = np.split(x, [self.model.dim_x])
-        return np.concatenate([self.model.f(inner, u) + self.gain @ force, -force / self.tau])
+        inner, process = np.split(x, [self.model.dim_x])
+        pushed = self.model.f(inner, u) + self.gain @ process[: self.forces]
+        return np.concatenate([pushed, self.drift(process)])
 
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f with respect to x, shape (dim_x, dim_x)."""
@@ -60,13 +85,21 @@ class Disturbed:
 
     def linearise(self, x: FloatArray, u: FloatArray) -> _Linearised:
         """Return the model and its forces at (x, u)."""
-        inner, force = np.split(x, [self.model.dim_x])
-        return _Linearised(self, self.model.linearise(inner, u), force)
+        inner, process = np.split(x, [self.model.dim_x])
+        return _Linearised(self, self.model.linearise(inner, u), process)
+
+    def drift(self, process: FloatArray) -> FloatArray:
+        """Time derivative of the forces and their rates, shape (order * forces,)."""
+        return np.asarray(self.process.drift @ process.reshape(-1, self.forces)).ravel()
 
     def join(self, inner: sparse.csr_array) -> sparse.csr_array:
-        """Return [[inner, G], [0, -I / tau]]."""
+        """Return [[inner, G, 0], [0, drift]]."""
         if self._joined is None or self._joined.inner_size != inner.nnz:
-            self._joined = _Joined(inner, self.gain, self.tau)
+            order = len(self.process.drift)
+            rates = sparse.csr_array((self.gain.shape[0], (order - 1) * self.forces))
+            gain = sparse.csr_array(sparse.hstack([self.gain, rates]))
+            drift = sparse.kron(self.process.drift, sparse.eye_array(self.forces))
+            self._joined = _Joined(inner, gain, sparse.csr_array(drift))
         return self._joined.matrix(inner)
 
 
@@ -76,16 +109,18 @@ class _Linearised:
 
     model: Disturbed
     inner: Linearised
-    force: FloatArray
+    process: FloatArray
 
     def increment(self, dt: float) -> FloatArray:
         """Increment of the model under the forces, and of the forces."""
-        pushed = self.inner.increment(dt) + dt * (self.model.gain @ self.force)
-        return np.concatenate([pushed, -dt * self.force / self.model.tau])
+        force = self.process[: self.model.forces]
+        pushed = self.inner.increment(dt) + dt * (self.model.gain @ force)
+        return np.concatenate([pushed, dt * self.model.drift(self.process)])
 
     def solver(self, dt: float) -> _StepSolver:
         """Solver of the implicit step."""
-        decay = 1.0 + dt / self.model.tau
+        drift = self.model.process.drift
+        decay: FloatArray = np.linalg.inv(np.eye(len(drift)) - dt * drift).astype(float)
         return _StepSolver(self.inner.solver(dt), dt * self.model.gain, decay)
 
     def step_slope(self, w: FloatArray, dt: float) -> sparse.csr_array:
@@ -95,34 +130,45 @@ class _Linearised:
 
 @dataclass(frozen=True)
 class _StepSolver:
-    """Solves with N = [[N_model, -dt G], [0, decay I]]; gain = dt G."""
+    """Solves with N = [[N_model, -dt G, 0], [0, I - dt drift]].
+
+    gain = dt G; decay = (I - dt drift)^-1 of one force, shape (order, order).
+    """
 
     inner: StepSolver
     gain: sparse.csr_array
-    decay: float
+    decay: FloatArray
 
     def __call__(self, b: FloatArray) -> FloatArray:
-        size = self.gain.shape[0]
-        force = b[size:] / self.decay
-        return np.concatenate([self.inner(b[:size] + self.gain @ force), force])
+        size, forces = self.gain.shape
+        process = self._each(self.decay, b[size:])
+        return np.concatenate([self.inner(b[:size] + self.gain @ process[:forces]), process])
 
     def transposed(self, b: FloatArray) -> FloatArray:
         """Return y of N' y = b, shape (dim_x, m)."""
-        size = self.gain.shape[0]
+        size, forces = self.gain.shape
         state = self.inner.transposed(b[:size])
-        return np.concatenate([state, (b[size:] + self.gain.T @ state) / self.decay])
+        process = b[size:].copy()
+        process[:forces] += self.gain.T @ state
+        return np.concatenate([state, self._each(self.decay.T, process)])
+
+    @staticmethod
+    def _each(matrix: FloatArray, process: FloatArray) -> FloatArray:
+        """Apply a matrix of shape (order, order) to each force and its rates."""
+        return np.asarray(matrix @ process.reshape(len(matrix), -1)).reshape(process.shape)
 
 
 class _Joined:
     """The structure of the joined Jacobian, learnt once by numbering the entries of its parts."""
 
-    def __init__(self, inner: sparse.csr_array, gain: sparse.csr_array, tau: float) -> None:
+    def __init__(
+        self, inner: sparse.csr_array, gain: sparse.csr_array, drift: sparse.csr_array
+    ) -> None:
         self.inner_size = inner.nnz
-        forces = gain.shape[1]
-        self._outer = np.concatenate([gain.data, np.full(forces, -1.0 / tau)])
+        self._outer = np.concatenate([gain.data, drift.data])
         parts = []
         count = 1
-        for part in (inner, gain, sparse.csr_array(sparse.eye_array(forces))):
+        for part in (inner, gain, drift):
             numbered = np.arange(count, count + part.nnz)
             parts.append(sparse.csr_array((numbered, part.indices, part.indptr), part.shape))
             count += part.nnz

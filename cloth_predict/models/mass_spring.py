@@ -125,7 +125,7 @@ class MassSpring:
 
     def _f(self, x: FloatArray, u: FloatArray, shape: _Shape) -> FloatArray:
         s, n = self.springs, 3 * len(self.free)
-        pull = -s.stiffness * (1.0 - s.rest_length / shape.length)
+        pull = -s.stiffness_at(shape.length) * (1.0 - s.rest_length / shape.length)
         force = pull[:, None] * shape.offset - s.damping[:, None] * shape.offset_rate
         total = self._blocks.incidence @ force + u[6 * len(self.driven) :].reshape(-1, 3)
         return np.concatenate(
@@ -166,8 +166,9 @@ class _Shape:
         geometric = 1.0 - springs.rest_length / self.length
         if clamp:
             geometric = np.maximum(geometric, 0.0)
-        across = springs.stiffness * geometric
-        scaled = self.offset * ((springs.stiffness - across) / self.length**2)[:, None]
+        k = springs.stiffness_at(self.length)
+        across = k * geometric
+        scaled = self.offset * ((k - across) / self.length**2)[:, None]
         blocks = (scaled[:, :, None] * self.offset[:, None, :]).reshape(-1, 9)
         blocks[:, ::4] += across[:, None]
         return blocks
@@ -187,7 +188,7 @@ class _Shape:
         along = np.einsum('si,si->s', n, w)
         t = w - along[:, None] * n
         taut = self.length > springs.rest_length
-        gain = springs.stiffness / self.length
+        gain = springs.stiffness_at(self.length) / self.length
         gain = np.where(taut, gain * springs.rest_length / self.length, gain)
         blocks = n[:, :, None] * (t - along[:, None] * n)[:, None, :]
         blocks += (taut[:, None] * t)[:, :, None] * n[:, None, :]

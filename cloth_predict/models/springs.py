@@ -15,20 +15,29 @@ class Springs:
     """Springs with dampers; arrays of shape (springs,), `pairs` (springs, 2) node indices.
 
     stiffness k [N/m], damping d [N s/m], rest_length r [m]; one value may stand for all springs.
-    Raises ValueError for values that are negative or not finite.
+    compression: the share of k that a spring shorter than r has, from 1 (a spring) to 0 (a
+    string); cloth between two nodes buckles rather than resist. Raises ValueError for values
+    that are negative or not finite.
     """
 
     pairs: IntArray
     stiffness: FloatArray
     damping: FloatArray
     rest_length: FloatArray
+    compression: float = 1.0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.compression <= 1:
+            raise ValueError('compression must lie between 0 and 1')
         for name in ('stiffness', 'damping', 'rest_length'):
             values = np.broadcast_to(np.asarray(getattr(self, name), float), (len(self.pairs),))
             if not np.all(np.isfinite(values)) or np.any(values < 0):
                 raise ValueError(f'{name} must be finite and not negative')
             object.__setattr__(self, name, values)
+
+    def stiffness_at(self, length: FloatArray) -> FloatArray:
+        """Stiffness [N/m] of springs of these lengths [m], both of shape (springs,)."""
+        return np.where(length < self.rest_length, self.compression, 1.0) * self.stiffness
 
 
 def grid_pairs(rows: int, cols: int) -> dict[str, IntArray]:
@@ -45,7 +54,12 @@ def grid_pairs(rows: int, cols: int) -> dict[str, IntArray]:
 
 
 def grid_springs(
-    rows: int, cols: int, shape: FloatArray, stiffness: Mapping[str, float], damping: float
+    rows: int,
+    cols: int,
+    shape: FloatArray,
+    stiffness: Mapping[str, float],
+    damping: float,
+    compression: float = 1.0,
 ) -> Springs:
     """Springs of a grid at rest in `shape` [m], shape (rows * cols, 3).
 
@@ -55,7 +69,7 @@ def grid_springs(
     pairs = np.concatenate(list(families.values()))
     k = np.concatenate([np.full(len(p), stiffness[name]) for name, p in families.items()])
     rest_length = np.linalg.norm(shape[pairs[:, 0]] - shape[pairs[:, 1]], axis=1)
-    return Springs(pairs, k, np.full(len(pairs), damping), rest_length)
+    return Springs(pairs, k, np.full(len(pairs), damping), rest_length, compression)
 
 
 def _pairs(rows: int, cols: int, offsets: tuple[tuple[int, int], ...]) -> IntArray:
