@@ -9,8 +9,16 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from scipy import sparse
 
-from cloth_predict.types import Dynamics, FloatArray, Integrator, Pull, StiffDynamics
+from cloth_predict.types import (
+    Dynamics,
+    FloatArray,
+    Integrator,
+    StepSolver,
+    StiffDynamics,
+    Tangent,
+)
 
 
 @dataclass(frozen=True)
@@ -71,12 +79,12 @@ class RungeKutta:
             np.asarray(identity + dt * _combine(self.tableau.b, slope_jacs)),
         )
 
-    def step_pull(
+    def step_tangent(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
-    ) -> tuple[FloatArray, Pull]:
-        """State after dt [s] and the map of rows W to W F."""
+    ) -> tuple[FloatArray, Tangent]:
+        """State after dt [s] and its derivative as a map."""
         after, step_jac = self.step_jac(model, x, u, dt)
-        return after, lambda rows: rows @ step_jac
+        return after, DenseTangent(step_jac)
 
 
 def _combine(weights: tuple[float, ...], terms: list[FloatArray]) -> FloatArray | float:
@@ -114,22 +122,48 @@ class ImplicitEuler:
         F = I + (I - dt J~)^-1 dt (J + d(J~ dx)/dx): the matrix depends on the state too, and its
         change along dx belongs to the Jacobian.
         """
-        at = cast('StiffDynamics', model).linearise(x, u)
-        solve = at.solver(dt)
-        change = solve(at.increment(dt))
-        step_jac = solve(dt * at.step_slope(change, dt).toarray())
-        step_jac.flat[:: model.dim_x + 1] += 1.0
-        return x + change, step_jac
+        after, tangent = self.step_tangent(model, x, u, dt)
+        return after, tangent.push(np.eye(model.dim_x))
 
-    def step_pull(
+    def step_tangent(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
-    ) -> tuple[FloatArray, Pull]:
-        """State after dt [s] and the map of rows W to W F: a solve, without ever making F."""
+    ) -> tuple[FloatArray, Tangent]:
+        """State after dt [s] and its derivative as a map: solves, without ever making F."""
         at = cast('StiffDynamics', model).linearise(x, u)
         solve = at.solver(dt)
         change = solve(at.increment(dt))
-        slope = dt * at.step_slope(change, dt).T
-        return x + change, lambda rows: rows + (slope @ solve.transposed(rows.T)).T
+        return x + change, _ImplicitTangent(solve, dt * at.step_slope(change, dt))
+
+
+@dataclass(frozen=True)
+class DenseTangent:
+    """A derivative F given as a matrix; see `types.Tangent`."""
+
+    step_jac: FloatArray
+
+    def push(self, columns: FloatArray) -> FloatArray:
+        """Return F C."""
+        return self.step_jac @ columns
+
+    def pull(self, rows: FloatArray) -> FloatArray:
+        """Return W F."""
+        return rows @ self.step_jac
+
+
+@dataclass(frozen=True)
+class _ImplicitTangent:
+    """F = I + N^-1 S with N = I - dt J~ and S = dt (J + d(J~ dx)/dx)."""
+
+    solve: StepSolver
+    slope: sparse.csr_array
+
+    def push(self, columns: FloatArray) -> FloatArray:
+        """Return C + N^-1 (S C)."""
+        return columns + self.solve(self.slope @ columns)
+
+    def pull(self, rows: FloatArray) -> FloatArray:
+        """Return W + (W N^-1) S."""
+        return np.asarray(rows + (self.slope.T @ self.solve.transposed(rows.T)).T)
 
 
 INTEGRATORS: dict[str, Integrator] = {

@@ -18,7 +18,6 @@ FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 Solver: TypeAlias = Callable[[FloatArray], FloatArray]
-Pull: TypeAlias = Callable[[FloatArray], FloatArray]
 
 UNLABELLED_PREFIXES = ('unlabeled', 'unlabelled')
 
@@ -178,6 +177,16 @@ class StiffDynamics(Dynamics, Protocol):
         """Return the model at (x, u)."""
 
 
+class Tangent(Protocol):
+    """The derivative F of a step, applied from either side."""
+
+    def push(self, columns: FloatArray) -> FloatArray:
+        """Return F C, both of shape (dim_x, m)."""
+
+    def pull(self, rows: FloatArray) -> FloatArray:
+        """Return W F, both of shape (m, dim_x)."""
+
+
 class Integrator(Protocol):
     """One step in time of any Dynamics, and the exact Jacobian of that step."""
 
@@ -189,10 +198,10 @@ class Integrator(Protocol):
     ) -> tuple[FloatArray, FloatArray]:
         """State after dt [s] and its derivative F with respect to x, shape (dim_x, dim_x)."""
 
-    def step_pull(
+    def step_tangent(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
-    ) -> tuple[FloatArray, Pull]:
-        """State after dt [s] and the map of rows W, shape (m, dim_x), to W F."""
+    ) -> tuple[FloatArray, Tangent]:
+        """State after dt [s] and its derivative F as a map, where F itself is not needed."""
 
 
 class Observation(Protocol):

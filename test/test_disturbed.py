@@ -7,7 +7,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.linear import propagate
-from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
+from cloth_predict.integrators import INTEGRATORS, DenseTangent, ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed, ForceProcess
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import Gaussian
@@ -103,7 +103,7 @@ def force_variance_ratio(name, dt):
     noise = 2 / TAU * dt
     kept = noise / 2 * (1 + a**2) / (1 - a**2)
     cov = np.diag([0.0] * 6 + [kept] * 3)
-    after = propagate(cov, F, noise * np.array([0.0] * 6 + [1.0] * 3))
+    after = propagate(cov, DenseTangent(F), noise * np.array([0.0] * 6 + [1.0] * 3))
     np.testing.assert_allclose(np.diag(after)[6:], kept, rtol=1e-13)  # rounding
     return kept
 
@@ -198,8 +198,8 @@ def test_smooth_force_step_jacobian_equals_central_differences(smooth, name):
     # entries up to 1e2; rounding of 1 m/s over the step of the difference, 1e-10
     np.testing.assert_allclose(found, expected, atol=1e-7)
     rows = np.random.default_rng(3).normal(size=(4, 120))
-    pulled_after, pull = method.step_pull(model, x, u, dt)
-    np.testing.assert_allclose(pull(rows), rows @ found, atol=1e-10)  # rounding
+    pulled_after, tangent = method.step_tangent(model, x, u, dt)
+    np.testing.assert_allclose(tangent.pull(rows), rows @ found, atol=1e-10)  # rounding
     np.testing.assert_array_equal(pulled_after, after)
 
 

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.linear import condition, propagate
-from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
+from cloth_predict.integrators import INTEGRATORS, DenseTangent, ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import Gaussian
@@ -148,7 +148,9 @@ def test_propagate_equals_the_trapezoid_rule():
     rng = np.random.default_rng(6)
     P, F, noise = random_covariance(rng, 5), rng.normal(size=(5, 5)), rng.uniform(0, 1, 5)
     expected = F @ P @ F.T + trapezoid(F, noise)
-    np.testing.assert_allclose(propagate(P, F, noise), expected, atol=1e-14)  # rounding
+    np.testing.assert_allclose(
+        propagate(P, DenseTangent(F), noise), expected, atol=1e-14
+    )  # rounding
 
 
 def test_an_update_without_markers_changes_nothing(surface):

@@ -113,12 +113,15 @@ def test_jacobian_of_the_step_equals_central_differences(name, rest, disturbed):
     # entries of 1 to 1e3; rounding: 1e-16 of velocities of 10 m/s over the step of 1e-7
     np.testing.assert_allclose(step_jac, expected, atol=3e-8 * np.abs(expected).max())
 
-    also_after, pull = method.step_pull(model, x, u, dt)
+    also_after, tangent = method.step_tangent(model, x, u, dt)
     np.testing.assert_array_equal(also_after, after)
     rows = rng.normal(size=(7, model.dim_x))
     pulled = rows @ step_jac
     # rounding of two solves with a condition number of 1e3
-    np.testing.assert_allclose(pull(rows), pulled, atol=1e-13 * np.abs(pulled).max())
+    np.testing.assert_allclose(tangent.pull(rows), pulled, atol=1e-13 * np.abs(pulled).max())
+    np.testing.assert_allclose(
+        tangent.push(rows.T), step_jac @ rows.T, atol=1e-13 * np.abs(pulled).max()
+    )  # the same
 
 
 def test_implicit_step_is_stable_where_the_explicit_ones_blow_up():

@@ -29,8 +29,8 @@ class ExtendedKalmanFilter:
         self, belief: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray, dt: float
     ) -> Gaussian:
         """Belief dt [s] later: x = step(x), P = F P F' + Q (Gomes 2016, eq. 6.2, with F exact)."""
-        mean, step_jac = self.integrator.step_jac(model, belief.mean, u, dt)
-        return Gaussian(mean, propagate(belief.cov, step_jac, dt * q))
+        mean, tangent = self.integrator.step_tangent(model, belief.mean, u, dt)
+        return Gaussian(mean, propagate(belief.cov, tangent, dt * q))
 
     def forecast(
         self,
@@ -46,15 +46,15 @@ class ExtendedKalmanFilter:
         The same as as many calls of `predict`, but the rows W are pulled back through the steps
         (W <- W F) instead of the whole covariance being pushed forward.
         """
-        mean, pulls = belief.mean, []
+        mean, tangents = belief.mean, []
         for u in inputs:
-            mean, pull = self.integrator.step_pull(model, mean, u, dt)
-            pulls.append(pull)
+            mean, tangent = self.integrator.step_tangent(model, mean, u, dt)
+            tangents.append(tangent)
         pulled, half = np.eye(len(mean))[rows], 0.5 * dt * q
         variance = np.zeros(len(rows))
-        for pull in reversed(pulls):
+        for tangent in reversed(tangents):
             variance += pulled**2 @ half
-            pulled = pull(pulled)
+            pulled = tangent.pull(pulled)
             variance += pulled**2 @ half
         return mean, variance + np.einsum('ij,ij->i', pulled @ belief.cov, pulled)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import lapack
 
-from cloth_predict.types import FloatArray, Gaussian, Innovation, IntArray
+from cloth_predict.types import FloatArray, Gaussian, Innovation, IntArray, Tangent
 
 
-def propagate(cov: FloatArray, step_jac: FloatArray, noise: FloatArray) -> FloatArray:
+def propagate(cov: FloatArray, tangent: Tangent, noise: FloatArray) -> FloatArray:
     """Covariance after a step: F (P + N/2) F' + N/2, shape (dim_x, dim_x).
 
     `noise`, shape (dim_x,), is dt times the spectral density. Half of it acts before the step and
@@ -18,7 +18,7 @@ def propagate(cov: FloatArray, step_jac: FloatArray, noise: FloatArray) -> Float
     half = 0.5 * noise
     start = cov.copy()
     start.flat[:: len(half) + 1] += half
-    end = step_jac @ start @ step_jac.T
+    end = tangent.push(tangent.push(start).T)  # F (F P)' = F P F', as P is symmetric
     end.flat[:: len(half) + 1] += half
     return symmetric(end)
 
