@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar='S',
         help='how far ahead to predict, in seconds; default: the configured one',
     )
-    evaluate.add('-o', '--output', type=Path, help='folder for table, figures and configuration')
+    evaluate.add('-o', '--output', type=Path, help='folder for tables, figures and configuration')
     return parser
 
 
@@ -160,7 +160,7 @@ def _evaluate(options: argparse.Namespace) -> None:
         summaries = [e.summary() for e in found]
         print(json.dumps(summaries[0] if len(summaries) == 1 else summaries))
     else:
-        print('\n\n'.join(run.table(e) for e in found))
+        print('\n\n'.join(f'{run.table(e)}\n{run.details(e)}' for e in found))
 
 
 def _demo(options: argparse.Namespace) -> None:

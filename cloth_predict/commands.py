@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable
+from math import isnan, nan
 from pathlib import Path
 
 from cloth_predict import config as configuration
@@ -12,11 +13,12 @@ from cloth_predict import simulate as simulation
 from cloth_predict.association import markers_of_nodes
 from cloth_predict.config import Config
 from cloth_predict.errors import FormatError
-from cloth_predict.evaluation import METHODS, Evaluation
+from cloth_predict.evaluation import Evaluation
 from cloth_predict.evaluation import evaluate as compare
 from cloth_predict.formats.bag import Recording, create_bag, write_recording
 from cloth_predict.formats.pointcloud import encode_markers, encode_surface
 from cloth_predict.formats.recording import read
+from cloth_predict.predictors import METHODS
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import MarkerSequence
 
@@ -120,10 +122,11 @@ def reference_of(recording: Recording, markers: MarkerSequence) -> MarkerSequenc
 
 
 def report(evaluation: Evaluation, config: Config, output: Path, suffix: str = '') -> None:
-    """Write the table, the figures and the configuration used into a folder."""
+    """Write the tables, the figures and the configuration used into a folder."""
     from cloth_predict import figures  # matplotlib takes half a second to import
 
     (output / f'table{suffix}.txt').write_text(table(evaluation) + '\n', encoding='utf-8')
+    (output / f'details{suffix}.txt').write_text(details(evaluation) + '\n', encoding='utf-8')
     (output / 'config.yaml').write_text(configuration.dump(config), encoding='utf-8')
     figures.error_over_time(evaluation, output / f'error{suffix}.png')
     rows, cols = config.model.rows, config.model.cols
@@ -134,10 +137,34 @@ def table(evaluation: Evaluation) -> str:
     """Return the comparison as text."""
     lines = [
         f'predicted {1e3 * evaluation.horizon:g} ms ahead, {len(evaluation.targets)} frames, '
-        'errors in mm',
-        f'{"method":10} {"RMS":>8} {"free":>8} {"p95":>8} {"max":>8} {"us/frame":>9}',
+        'errors in mm, 95 % interval of the RMS',
+        f'{"method":10} {"RMS":>8} {"free":>8} {"p95":>8} {"max":>8} {"interval":>15} '
+        f'{"us/frame":>9}',
     ]
     for name, s in evaluation.scores.items():
         numbers = ' '.join(f'{v:8.2f}' for v in (s.rmse_mm, s.rmse_free_mm, s.p95_mm, s.max_mm))
-        lines.append(f'{name:10} {numbers} {evaluation.us_per_frame[name]:9.0f}')
+        low, high = s.rmse_95_mm
+        interval = '-' if isnan(low) else f'{low:.2f}-{high:.2f}'
+        lines.append(f'{name:10} {numbers} {interval:>15} {evaluation.us_per_frame[name]:9.0f}')
     return '\n'.join(lines)
+
+
+def details(evaluation: Evaluation) -> str:
+    """Return the coverage, the NIS and the errors by speed as text."""
+    ends = [found.up_to_m_s for found in next(iter(evaluation.details.values())).by_speed]
+    speeds = ' '.join(f'{_number(end, "<= ", " m/s"):>12}' for end in ends)
+    lines = [
+        'free nodes: share of errors within 1, 2, 3 sigma; NIS per degree of freedom; RMS in mm '
+        'by speed',
+        f'{"method":10} {"1 sigma":>8} {"2 sigma":>8} {"3 sigma":>8} {"NIS":>8} {speeds}',
+    ]
+    for name, found in evaluation.details.items():
+        shares = [100 * share for share in found.coverage or (nan, nan, nan)]
+        numbers = ' '.join(f'{_number(share, unit=" %", digits=1):>8}' for share in shares)
+        errors = ' '.join(f'{_number(part.rmse_mm):>12}' for part in found.by_speed)
+        lines.append(f'{name:10} {numbers} {_number(found.nis):>8} {errors}')
+    return '\n'.join(lines)
+
+
+def _number(value: float, before: str = '', unit: str = '', digits: int = 2) -> str:
+    return '-' if isnan(value) else f'{before}{value:.{digits}f}{unit}'

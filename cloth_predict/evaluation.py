@@ -4,106 +4,56 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from math import isnan
-from typing import Protocol
+from dataclasses import asdict, dataclass, replace
+from math import isnan, nan
+from typing import Any
 
 import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.errors import FormatError
-from cloth_predict.filters.kinematic import KinematicTrack
-from cloth_predict.metrics import Score, at_times, distances, score
-from cloth_predict.tracker import NANOSECONDS, Tracker
+from cloth_predict.metrics import (
+    Details,
+    Score,
+    at_times,
+    by_speed,
+    coverage,
+    distances,
+    mean,
+    score,
+    speeds,
+)
+from cloth_predict.predictors import METHODS, Predictor
+from cloth_predict.tracker import NANOSECONDS
 from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
 
 WARM_UP = 1.0
 """Seconds at the start that are not judged."""
+BLOCK = 0.5
+"""Seconds of frames that the bootstrap keeps together: longer than errors remember, and short
+enough that a few seconds have several."""
+SEED = 0
+"""Of the bootstrap; the same frames are drawn for every method."""
 
 
-class Predictor(Protocol):
-    """Something that follows markers and says where they will be."""
+@dataclass(frozen=True)
+class Run:
+    """What a method said of a whole recording, after each frame.
 
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> object:
-        """Take a frame: stamp [ns], positions [m], shape (markers, 3), visible, (markers,)."""
+    position [m], shape (frames, markers, 3); sigma [m], shape (frames, markers); nis, shape
+    (frames,), per degree of freedom; NaN where unknown. seconds: what it took.
+    """
 
-    def positions(self, horizon: float) -> FloatArray:
-        """Positions [m], shape (markers, 3), `horizon` [s] after the last frame, or NaN."""
+    position: FloatArray
+    sigma: FloatArray
+    nis: FloatArray
+    seconds: float
 
-
-class Hold:
-    """The last position seen of each marker."""
-
-    def __init__(self, config: Config) -> None:
-        self._last = np.full((config.model.rows * config.model.cols, 3), np.nan)
-
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> None:
-        """Take a frame."""
-        self._last = np.where(visible[:, None], positions, self._last)
-
-    def positions(self, horizon: float) -> FloatArray:
-        """Positions last seen [m], shape (markers, 3)."""
-        return self._last
-
-
-class Kinematic:
-    """One kinematic Kalman filter per marker."""
-
-    def __init__(self, config: Config, motion: str, density: float) -> None:
-        self._config, self._motion, self._density = config, motion, density
-        self._tracks: dict[int, KinematicTrack] = {}
-        self._stamp: int | None = None
-        self._nodes = config.model.rows * config.model.cols
-
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> None:
-        """Take a frame."""
-        dt = 0.0 if self._stamp is None else (stamp - self._stamp) / NANOSECONDS
-        self._stamp = stamp
-        for track in self._tracks.values():
-            track.predict(dt)
-        for marker in np.flatnonzero(visible).tolist():
-            if marker in self._tracks:
-                self._tracks[marker].update(positions[marker])
-            else:
-                self._tracks[marker] = KinematicTrack(
-                    self._motion,
-                    self._density,
-                    self._config.filter.measurement_noise,
-                    positions[marker],
-                )
-
-    def positions(self, horizon: float) -> FloatArray:
-        """Extrapolated positions [m], shape (markers, 3)."""
-        predicted = np.full((self._nodes, 3), np.nan)
-        for marker, track in self._tracks.items():
-            predicted[marker] = track.extrapolate(horizon)[0]
-        return predicted
-
-
-class Tracked:
-    """The tracker of the configuration."""
-
-    def __init__(self, config: Config) -> None:
-        self._tracker = Tracker(config)
-
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> None:
-        """Take a frame."""
-        self._tracker.step(stamp, positions, visible)
-
-    def positions(self, horizon: float) -> FloatArray:
-        """Predicted positions [m], shape (markers, 3)."""
-        if not self._tracker.started:
-            return np.full((self._tracker.nodes, 3), np.nan)
-        return self._tracker.predict(horizon).position
-
-
-METHODS: dict[str, Callable[[Config], Predictor]] = {
-    'hold': Hold,
-    'kf_cv': lambda c: Kinematic(c, 'constant_velocity', c.baseline.cv_noise),
-    'kf_ca': lambda c: Kinematic(c, 'constant_acceleration', c.baseline.ca_noise),
-    'ekf': Tracked,
-}
-"""What `evaluate` compares; a new method is one entry."""
+    def at(self, frames: BoolArray) -> Run:
+        """Return what was said after these frames."""
+        return replace(
+            self, position=self.position[frames], sigma=self.sigma[frames], nis=self.nis[frames]
+        )
 
 
 @dataclass(frozen=True)
@@ -117,6 +67,7 @@ class Evaluation:
 
     horizon: float
     scores: dict[str, Score]
+    details: dict[str, Details]
     us_per_frame: dict[str, float]
     errors: dict[str, FloatArray]
     targets: IntArray
@@ -130,12 +81,22 @@ class Evaluation:
             'frames': len(self.targets),
             'methods': {
                 name: {
-                    **{k: None if isnan(v) else v for k, v in vars(found).items()},
+                    **_plain(asdict(found)),
                     'us_per_frame': self.us_per_frame[name],
+                    **_plain(asdict(self.details[name])),
                 }
                 for name, found in self.scores.items()
             },
         }
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold: NaN becomes None, a tuple a list."""
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, tuple):
+        return [_plain(part) for part in value]
+    return None if isinstance(value, float) and isnan(value) else value
 
 
 def evaluate(
@@ -153,50 +114,100 @@ def evaluate(
     the markers themselves. Markers must be in node order.
     """
     markers = in_order(markers)
-    predicted, seconds = {}, {}
-    for name, make in (METHODS if methods is None else methods).items():
-        predicted[name], seconds[name] = predict_all(make(config), markers, horizon, progress)
-    return judge(markers, config, horizon, reference or markers, predicted, seconds, source)
+    runs = {
+        name: predict_all(make(config), markers, horizon, progress)
+        for name, make in (METHODS if methods is None else methods).items()
+    }
+    return judge(markers, config, horizon, reference, runs, source)
 
 
 def judge(
     markers: MarkerSequence,
     config: Config,
     horizon: float,
-    reference: MarkerSequence,
-    predicted: dict[str, FloatArray],
-    seconds: dict[str, float],
+    reference: MarkerSequence | None,
+    runs: dict[str, Run],
     source: str = 'the recording',
 ) -> Evaluation:
-    """Compare predictions made at each frame of `markers`, (frames, markers, 3), with a reference.
+    """Compare what methods said after each frame of `markers` with a reference, the truth.
 
-    Only what every method predicted and the reference shows is counted. Raises FormatError naming
-    the source where that is nothing.
+    None of it means the markers themselves. Only what every method predicted and the reference
+    shows is counted. Raises FormatError naming the source where that is nothing.
     """
+    shown = markers if reference is None else reference
     targets = markers.stamps + round(horizon * NANOSECONDS)
-    actual, counted = at_times(reference, targets)
-    counted &= (markers.stamps >= markers.stamps[0] + WARM_UP * NANOSECONDS)[:, None]
-    for positions in predicted.values():
-        counted &= np.isfinite(positions).all(axis=-1)
-    judged = counted.any(axis=1)
+    actual, counted = _counted(markers, shown, targets, runs)
+    judged = np.asarray(counted.any(axis=1), bool)
     if not judged.any():
-        raise FormatError(
-            f'{source}: no frame can be judged: the recording lasts '
-            f'{(markers.stamps[-1] - markers.stamps[0]) / NANOSECONDS:.2f} s, of which the first '
-            f'{WARM_UP} s are the warm-up and the last {horizon} s have no later measurement'
-        )
+        raise FormatError(f'{source}: {_why_nothing(markers, horizon)}')
+    targets, actual, counted = targets[judged], actual[judged], counted[judged]
+    runs = {name: run.at(judged) for name, run in runs.items()}
+    errors = {
+        name: np.where(counted, distances(run.position, actual), nan) for name, run in runs.items()
+    }
+    interval = int(np.median(np.diff(markers.stamps)))
     free = np.ones(len(markers.labels), bool)
     free[list(config.anchors.nodes)] = False
-    errors = {n: np.where(counted, distances(p, actual), np.nan) for n, p in predicted.items()}
+    noise = config.filter.measurement_noise if reference is None else 0.0
     return Evaluation(
         horizon,
-        {name: score(e, counted, free) for name, e in errors.items()},
-        {name: 1e6 * s / len(markers) for name, s in seconds.items()},
-        {name: e[judged] for name, e in errors.items()},
-        targets[judged],
-        actual[judged],
-        {name: p[judged] for name, p in predicted.items()},
+        _scores(errors, free, interval),
+        _details(runs, errors, actual, speeds(shown, targets, interval), free, noise),
+        {name: 1e6 * run.seconds / len(markers) for name, run in runs.items()},
+        errors,
+        targets,
+        actual,
+        {name: run.position for name, run in runs.items()},
     )
+
+
+def _counted(
+    markers: MarkerSequence, shown: MarkerSequence, targets: IntArray, runs: dict[str, Run]
+) -> tuple[FloatArray, BoolArray]:
+    """Actual positions [m] at the targets [ns], and which of them are shown and predicted."""
+    actual, counted = at_times(shown, targets)
+    counted &= (markers.stamps >= markers.stamps[0] + WARM_UP * NANOSECONDS)[:, None]
+    for run in runs.values():
+        counted &= np.isfinite(run.position).all(axis=-1)
+    return actual, counted
+
+
+def _why_nothing(markers: MarkerSequence, horizon: float) -> str:
+    seconds = (markers.stamps[-1] - markers.stamps[0]) / NANOSECONDS
+    return (
+        f'no frame can be judged: the recording lasts {seconds:.2f} s, of which the first '
+        f'{WARM_UP} s are the warm-up and the last {horizon} s have no later measurement'
+    )
+
+
+def _scores(errors: dict[str, FloatArray], free: BoolArray, interval: int) -> dict[str, Score]:
+    """Sum up the errors of each method; interval [ns] between frames."""
+    block = max(round(BLOCK * NANOSECONDS / interval), 1)
+    return {
+        name: score(error, np.isfinite(error), free, block, np.random.default_rng(SEED))
+        for name, error in errors.items()
+    }
+
+
+def _details(
+    runs: dict[str, Run],
+    errors: dict[str, FloatArray],
+    actual: FloatArray,
+    speed: FloatArray,
+    free: BoolArray,
+    noise: float,
+) -> dict[str, Details]:
+    """Judge what each method says of its own errors; noise [m] of a coordinate of `actual`."""
+    found = {}
+    for name, run in runs.items():
+        error = errors[name][:, free]
+        sigma = np.where(np.isfinite(error), np.hypot(run.sigma[:, free], noise), nan)
+        found[name] = Details(
+            coverage((run.position - actual)[:, free], sigma),
+            mean(run.nis),
+            by_speed(error, speed[:, free]),
+        )
+    return found
 
 
 def in_order(markers: MarkerSequence) -> MarkerSequence:
@@ -219,12 +230,13 @@ def predict_all(
     markers: MarkerSequence,
     horizon: float,
     progress: Callable[[int], None] = lambda frames: None,
-) -> tuple[FloatArray, float]:
-    """Predictions [m] after each frame, (frames, markers, 3), and the seconds it took."""
-    predicted = np.empty(markers.positions.shape)
+) -> Run:
+    """Let a method follow the markers and predict after each frame."""
+    frames, nodes = markers.visible.shape
+    run = Run(np.empty((frames, nodes, 3)), np.empty((frames, nodes)), np.empty(frames), 0.0)
     begin = time.perf_counter()
     for k, stamp in enumerate(markers.stamps.tolist()):
-        predictor.step(stamp, markers.positions[k], markers.visible[k])
-        predicted[k] = predictor.positions(horizon)
+        run.nis[k] = predictor.step(stamp, markers.positions[k], markers.visible[k])
+        run.position[k], run.sigma[k] = predictor.predict(horizon)
         progress(1)
-    return predicted, time.perf_counter() - begin
+    return replace(run, seconds=time.perf_counter() - begin)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -30,7 +31,10 @@ ROOT = Path(__file__).parents[1]
 LABELS = ('a', 'b', 'c', 'd', 'e', 'f')
 FRAMES = 66  # 1.3 s at 50 Hz
 STAMPS = np.arange(FRAMES) * 20_000_000
-NUMBERS = ['rmse_mm', 'rmse_free_mm', 'p95_mm', 'max_mm', 'us_per_frame']
+NUMBERS = [
+    'rmse_mm', 'rmse_free_mm', 'p95_mm', 'max_mm', 'rmse_95_mm', 'us_per_frame', 'coverage', 'nis',
+    'by_speed',
+]  # fmt: skip
 MODEL = {'rows': 2, 'cols': 3, 'width': 0.2, 'height': 0.1}
 ANCHORS = {'nodes': [0, 1, 2]}
 
@@ -260,9 +264,15 @@ def test_predict_tells_what_became_of_the_frames(
 
 def test_evaluate_prints_a_table(run: Run, bag: Path, parameters: Parameters) -> None:
     lines = run.well('evaluate', bag, '-c', small(parameters)).splitlines()
-    assert lines[0] == 'predicted 100 ms ahead, 11 frames, errors in mm'
-    assert lines[1].split() == ['method', 'RMS', 'free', 'p95', 'max', 'us/frame']
-    assert [line.split()[0] for line in lines[2:]] == ['hold', 'kf_cv', 'kf_ca', 'ekf']
+    assert lines[0] == (
+        'predicted 100 ms ahead, 11 frames, errors in mm, 95 % interval of the RMS'
+    )
+    assert lines[1].split() == ['method', 'RMS', 'free', 'p95', 'max', 'interval', 'us/frame']
+    assert [line.split()[0] for line in lines[2:6]] == ['hold', 'kf_cv', 'kf_ca', 'ekf']
+    assert lines[2].split()[5] == '-'  # 11 frames of 20 ms are less than a block of 0.5 s
+    assert lines[6].startswith('free nodes: share of errors within 1, 2, 3 sigma; NIS')
+    assert [line.split()[0] for line in lines[7:]] == ['method', 'hold', 'kf_cv', 'kf_ca', 'ekf']
+    assert len({len(line) for line in (*lines[1:6], *lines[7:])}) == 2  # aligned
     angles = 0.3 * np.sin(2 * np.pi * STAMPS / 1e9)
     moved = 200 * np.abs(np.sin((angles[55:] - angles[50:61]) / 2))  # mm, a chord of 0.1 m
     hold = [float(word) for word in lines[2].split()[1:5]]
@@ -282,6 +292,40 @@ def test_evaluate_json(run: Run, bag: Path, parameters: Parameters) -> None:
         assert list(numbers) == NUMBERS
         assert 0 < numbers['rmse_mm'] < numbers['rmse_free_mm'] < numbers['max_mm']
         assert numbers['us_per_frame'] > 0
+        assert numbers['rmse_95_mm'] == [None, None]
+        assert [list(part) for part in numbers['by_speed']] == [['up_to_m_s', 'rmse_mm']] * 3
+        assert all(part['rmse_mm'] > 0 for part in numbers['by_speed'])
+    coverage = {name: numbers['coverage'] for name, numbers in found['methods'].items()}
+    assert coverage.pop('hold') is None
+    for shares in coverage.values():
+        assert 0 <= shares[0] <= shares[1] <= shares[2] <= 1
+    told = [name for name, numbers in found['methods'].items() if numbers['nis'] is not None]
+    assert told == ['ekf']
+
+
+def test_evaluate_tells_an_interval_and_a_coverage(
+    run: Run, parameters: Parameters, tmp_path: Path
+) -> None:
+    seconds = np.arange(250) / 50
+    positions = np.repeat(swaying(1), 250, axis=0)
+    positions[:, 3:, 2] += 0.05 * np.sin(2 * np.pi * seconds)[:, None]
+    stamps = np.arange(250) * 20_000_000
+    markers = MarkerSequence(stamps, LABELS, positions, np.ones((250, 6), bool))
+    write_recording(tmp_path / 'x', Recording(markers))
+    arguments = ['evaluate', tmp_path / 'x', '-c', small(parameters)]
+    found = json.loads(run.well(*arguments, '--json'))
+    lines = run.well(*arguments).splitlines()
+    for (name, numbers), line, more in zip(
+        found['methods'].items(), lines[2:6], lines[8:], strict=True
+    ):
+        low, high = numbers['rmse_95_mm']
+        assert low <= numbers['rmse_mm'] <= high
+        assert line.split()[5] == f'{low:.2f}-{high:.2f}', name
+        told = [f'{100 * share:.1f} %' for share in numbers['coverage'] or []]
+        assert re.findall(r'[\d.]+ %', more) == told
+        assert more.split()[-3:] == [f'{part["rmse_mm"]:.2f}' for part in numbers['by_speed']]
+    again = json.loads(run.well(*arguments, '--json'))
+    assert without_times(again) == without_times(found)
 
 
 def test_evaluate_at_several_horizons(run: Run, bag: Path, parameters: Parameters) -> None:
@@ -311,9 +355,11 @@ def test_evaluate_writes_a_folder(
     config, folder = small(parameters, horizon=0.08), tmp_path / 'new' / 'report'
     out = run.well('evaluate', bag, '-c', config, '-o', folder)
     assert sorted(path.name for path in folder.iterdir()) == [
-        'config.yaml', 'error_80ms.png', 'snapshots_80ms.png', 'table_80ms.txt',
+        'config.yaml', 'details_80ms.txt', 'error_80ms.png', 'snapshots_80ms.png',
+        'table_80ms.txt',
     ]  # fmt: skip
-    assert (folder / 'table_80ms.txt').read_text() == out
+    table, details = (folder / f'{name}_80ms.txt' for name in ('table', 'details'))
+    assert table.read_text() + details.read_text() == out
     assert load(folder / 'config.yaml') == load(config)
     for picture in folder.glob('*.png'):
         content = picture.read_bytes()

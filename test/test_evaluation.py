@@ -12,9 +12,24 @@ from scipy.linalg import solve_discrete_are
 
 from cloth_predict.config import Config, build
 from cloth_predict.errors import FormatError
-from cloth_predict.evaluation import METHODS, Evaluation, Hold, evaluate, in_order, judge
-from cloth_predict.metrics import Score, at_times, distances, rms, score
-from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
+from cloth_predict.evaluation import Evaluation, Run, evaluate, in_order, judge
+from cloth_predict.filters.linear import condition
+from cloth_predict.metrics import (
+    Score,
+    SpeedBin,
+    at_times,
+    by_speed,
+    coverage,
+    distances,
+    mean,
+    rms,
+    rms_interval,
+    score,
+    speeds,
+)
+from cloth_predict.predictors import METHODS, Hold, Predicted
+from cloth_predict.tracker import Tracker
+from cloth_predict.types import BoolArray, FloatArray, Gaussian, IntArray, MarkerSequence
 
 STEP = 10_000_000  # ns
 GRID = np.arange(201) * STEP  # 2 s at 100 Hz
@@ -45,6 +60,12 @@ def moving(
     shown = np.ones(positions.shape[:2], bool) if visible is None else visible
     positions = np.where(shown[..., None], positions, np.nan)
     return MarkerSequence(stamps, tuple('abcdef'), positions, shown)
+
+
+def said(positions: FloatArray, sigma: float = np.nan, seconds: float = 1.0) -> Run:
+    """Make a method's answers of these positions [m], all with the same sigma [m]."""
+    shape = positions.shape[:2]
+    return Run(positions, np.full(shape, sigma), np.full(shape[0], np.nan), seconds)
 
 
 def all_equal(found: Score, millimetres: float, tolerance: float = ROUNDING) -> None:
@@ -190,13 +211,14 @@ class Sometimes:
     def __init__(self, config: Config) -> None:
         self._odd = False
 
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> None:
+    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> float:
         self._odd, self._now = stamp // STEP % 2 == 1, positions
+        return np.nan
 
-    def positions(self, horizon: float) -> FloatArray:
+    def predict(self, horizon: float) -> Predicted:
         guess = self._now + np.array([0.0, 0.0, 1.0])
         guess[2] = np.nan
-        return guess * (np.nan if self._odd else 1.0)
+        return Predicted(guess * (np.nan if self._odd else 1.0), np.full(6, np.nan))
 
 
 def test_every_method_is_judged_by_the_same_frames_and_markers() -> None:
@@ -288,9 +310,8 @@ def test_judge_takes_predictions_of_any_origin() -> None:
     offset = np.zeros((201, 6, 3))
     offset[:, 1, 0], offset[150, 4] = 0.002, [0.02, 0.03, 0.06]
     offset[:, 5] = np.nan
-    found = judge(
-        markers, config(), 0.1, markers, {'it': markers.positions + offset}, {'it': 0.0201}
-    )
+    run = said(markers.positions + offset, seconds=0.0201)
+    found = judge(markers, config(), 0.1, None, {'it': run})
     errors = np.zeros((91, 5))
     errors[:, 1], errors[50, 4] = 0.002, 0.07
     np.testing.assert_allclose(found.errors['it'][:, :5], errors, atol=1e-3 * ROUNDING)
@@ -311,10 +332,15 @@ def test_the_summary_is_what_is_printed() -> None:
     assert (summary['horizon_s'], summary['frames']) == (0.1, 91)
     assert list(summary['methods']) == list(METHODS)
     for name, numbers in summary['methods'].items():
-        expected = ['rmse_mm', 'rmse_free_mm', 'p95_mm', 'max_mm', 'us_per_frame']
-        assert list(numbers) == expected
+        first = ['rmse_mm', 'rmse_free_mm', 'p95_mm', 'max_mm']
+        others = ['rmse_95_mm', 'us_per_frame', 'coverage', 'nis', 'by_speed']
+        assert list(numbers) == first + others
         assert numbers['us_per_frame'] == found.us_per_frame[name] > 0
-        assert Score(*(numbers[key] for key in expected[:4])) == found.scores[name]
+        assert [numbers[key] for key in first] == list(vars(found.scores[name]).values())[:4]
+        assert numbers['rmse_95_mm'] == [None, None]  # less than a second is judged
+        assert (numbers['coverage'] is None) == (name == 'hold')
+        assert (numbers['nis'] is None) == (name != 'ekf')
+        assert [list(part) for part in numbers['by_speed']] == [['up_to_m_s', 'rmse_mm']] * 3
 
 
 def test_progress_counts_the_frames_of_every_method() -> None:
@@ -332,6 +358,10 @@ def test_two_runs_give_the_same_numbers() -> None:
     )
     for name in METHODS:
         np.testing.assert_array_equal(one.predicted[name], two.predicted[name])
+    same: list[Any] = [found.summary()['methods'] for found in (one, two)]
+    for name in METHODS:
+        without_time = [{**numbers[name], 'us_per_frame': 0} for numbers in same]
+        assert without_time[0] == without_time[1]
 
 
 def test_shapes_belong_together() -> None:
@@ -351,7 +381,7 @@ def test_shapes_belong_together() -> None:
 def test_score_by_hand() -> None:
     errors = np.array([[0.001, 0.002], [0.003, np.nan], [0.005, 0.007]])
     counted = np.array([[True, True], [True, False], [False, True]])
-    found = score(errors, counted, np.array([True, False]))
+    found = score(errors, counted, np.array([True, False]), 1, np.random.default_rng(0))
     # counted are 1, 2, 3, 7 mm; the 95th percentile lies at 2.85 of their 3 intervals
     assert found.rmse_mm == pytest.approx(np.sqrt((1 + 4 + 9 + 49) / 4))
     assert found.rmse_free_mm == pytest.approx(np.sqrt((1 + 9) / 2))
@@ -368,7 +398,7 @@ def test_score_with_loops(seed: int) -> None:
     every, of_free = sorted(e for e, _ in chosen), [e for e, is_free in chosen if is_free]
     place = 0.95 * (len(every) - 1)
     low = int(place)
-    found = score(errors, counted, free)
+    found = score(errors, counted, free, 2, np.random.default_rng(seed))
     assert found.rmse_mm == pytest.approx((sum(e**2 for e in every) / len(every)) ** 0.5)
     assert found.rmse_free_mm == pytest.approx((sum(e**2 for e in of_free) / len(of_free)) ** 0.5)
     assert found.p95_mm == pytest.approx(
@@ -378,18 +408,268 @@ def test_score_with_loops(seed: int) -> None:
 
 
 def test_score_of_nothing() -> None:
-    none = score(np.ones((2, 2)), np.zeros((2, 2), bool), np.ones(2, bool))
-    assert all(np.isnan(value) for value in vars(none).values())
-    driven = score(np.ones((2, 1)), np.ones((2, 1), bool), np.zeros(1, bool))
+    rng = np.random.default_rng(0)
+    none = score(np.ones((2, 2)), np.zeros((2, 2), bool), np.ones(2, bool), 1, rng)
+    assert all(np.isnan(value).all() for value in vars(none).values())
+    driven = score(np.ones((2, 1)), np.ones((2, 1), bool), np.zeros(1, bool), 1, rng)
     assert driven.rmse_mm == 1000.0
     assert np.isnan(driven.rmse_free_mm)
     assert np.isnan(rms(np.zeros(0)))
+    assert np.isnan(mean(np.full(3, np.nan)))
+    assert mean(np.array([1.0, np.nan, 4.0])) == 2.5
 
 
 def test_distances_are_those_of_space() -> None:
     predicted = np.array([[[1.0, 2.0, 2.0], [0.0, 0.0, 0.0]]])
     assert distances(predicted, np.zeros((1, 2, 3))).tolist() == [[3.0, 0.0]]
     assert distances(predicted, predicted).tolist() == [[0.0, 0.0]]
+
+
+# --- the interval ----------------------------------------------------------------------------
+
+
+def half_width(interval: tuple[float, float]) -> float:
+    return (interval[1] - interval[0]) / 2
+
+
+@pytest.mark.parametrize(('block', 'tolerance'), [(1, 0.12), (20, 0.2)])
+def test_interval_of_independent_errors(block: int, tolerance: float) -> None:
+    # Each mean square of n normal errors has the deviation sqrt(2 / n), its root half of that.
+    # Of 1000 draws a percentile is known to 4 %; 200 blocks know their own variance to 10 %.
+    rng = np.random.default_rng(1)
+    errors = 3.0 * rng.standard_normal((4000, 1))
+    found = rms_interval(errors, block, rng)
+    assert half_width(found) == pytest.approx(3 * 1.96 * np.sqrt(2 / 4000) / 2, rel=tolerance)
+    assert sum(found) / 2 == pytest.approx(rms(errors), rel=0.005)
+
+
+def test_interval_of_errors_that_last() -> None:
+    # 1000 errors that each last 20 frames, and are those of all markers, are no more than 1000.
+    rng = np.random.default_rng(2)
+    errors = rng.standard_normal((1000, 1)).repeat(20, axis=0).repeat(3, axis=1)
+    expected = 1.96 * np.sqrt(2 / 1000) / 2
+    assert half_width(rms_interval(errors, 200, rng)) == pytest.approx(expected, rel=0.25)
+    alone = half_width(rms_interval(errors, 1, rng))
+    assert alone == pytest.approx(expected / np.sqrt(20), rel=0.15)  # too sure of itself
+
+
+def test_interval_holds_the_truth_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(3)
+    inside = 0
+    for _ in range(300):
+        low, high = rms_interval(rng.standard_normal((400, 2)), 8, rng)
+        inside += low <= 1.0 <= high
+    assert 0.90 < inside / 300 < 0.985  # three deviations of 300 draws, and 1 % for 50 blocks
+
+
+@pytest.mark.parametrize(('frames', 'block'), [(60, 1), (61, 12), (62, 12), (40, 7)])
+def test_interval_with_loops(frames: int, block: int) -> None:
+    rng = np.random.default_rng(frames)
+    errors = rng.exponential(size=(frames, 4))
+    errors[rng.random(errors.shape) > 0.6] = np.nan
+    errors[3] = np.nan  # a frame of nothing is no frame
+    kept = errors[np.isfinite(errors).any(axis=1)]
+    count = len(kept)
+    starts = np.random.default_rng(7).integers(count, size=(1000, -(-count // block)))
+    drawn = []
+    for places in starts:
+        rows = [(start + k) % count for start in places for k in range(block)][:count]
+        drawn.append(np.sqrt(np.nanmean(kept[rows] ** 2)))
+    found = rms_interval(errors, block, np.random.default_rng(7))
+    np.testing.assert_allclose(found, np.percentile(drawn, [2.5, 97.5]), rtol=1e-12)  # sums
+
+
+def test_interval_needs_five_blocks() -> None:
+    errors = np.random.default_rng(0).random((50, 2))
+    assert np.isnan(rms_interval(errors[:49], 10, np.random.default_rng(0))).all()
+    assert np.isfinite(rms_interval(errors, 10, np.random.default_rng(0))).all()
+    assert np.isnan(rms_interval(np.full((50, 2), np.nan), 1, np.random.default_rng(0))).all()
+
+
+def test_interval_of_an_evaluation() -> None:
+    stamps = np.arange(400) * STEP  # 3 s are judged, less the horizon
+    motion = moving(stamps, acceleration=ACCELERATION)
+    found = evaluate(motion, config(), 0.1, methods=KINEMATIC)
+    for name, errors in found.errors.items():
+        expected = rms_interval(1e3 * errors, 50, np.random.default_rng(0))  # 0.5 s
+        assert found.scores[name].rmse_95_mm == expected
+    low, high = found.scores['hold'].rmse_95_mm
+    assert low < found.scores['hold'].rmse_mm < high
+
+
+# --- what methods know of themselves ---------------------------------------------------------
+
+NORMAL = (0.682689, 0.954500, 0.997300)
+HALVED = (0.382925, 0.682689, 0.866386)  # within 0.5, 1 and 1.5 sigma
+DOUBLED = (0.954500, 0.999937, 1.0)
+
+
+def close(found: tuple[float, ...] | None, expected: tuple[float, ...], count: int) -> None:
+    """Four deviations of a binomial, and one draw."""
+    assert found is not None
+    for share, p in zip(found, expected, strict=True):
+        assert abs(share - p) <= 4 * np.sqrt(p * (1 - p) / count) + 1 / count
+
+
+@pytest.mark.parametrize(('factor', 'expected'), [(1, NORMAL), (0.5, HALVED), (2, DOUBLED)])
+def test_coverage_of_normal_errors(factor: float, expected: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(4)
+    sigma = rng.uniform(0.001, 0.01, (500, 20))
+    offsets = sigma[..., None] * rng.standard_normal((500, 20, 3))
+    close(coverage(offsets, factor * sigma), expected, offsets.size)
+
+
+def test_coverage_by_hand() -> None:
+    offsets = np.array([[0.5, -1.5, 2.5], [np.nan, 0.0, 0.0], [9.0, 9.0, 9.0], [-1.0, 2.0, -3.0]])
+    sigma = np.array([1.0, 1.0, np.nan, 1.0])
+    assert coverage(offsets, sigma) == (2 / 6, 4 / 6, 1.0)
+    assert coverage(offsets, np.full(4, np.nan)) is None
+
+
+@pytest.mark.parametrize(('factor', 'expected'), [(1, NORMAL), (0.5, HALVED), (2, DOUBLED)])
+@pytest.mark.parametrize('measured', [True, False])
+def test_coverage_of_an_evaluation(
+    measured: bool, factor: float, expected: tuple[float, ...]
+) -> None:
+    rng = np.random.default_rng(5)
+    truth = moving(np.arange(1000) * STEP)
+    sigma, noise, horizon = 0.004, 0.003, 10
+    wrong = sigma * rng.standard_normal(truth.positions.shape)
+    wrong[:, [0, 5]] = 1.0  # driven nodes are not asked
+    run = said(np.roll(truth.positions, -horizon, axis=0) + wrong, factor * sigma)
+    seen = truth.positions + noise * rng.standard_normal(truth.positions.shape)
+    markers = MarkerSequence(truth.stamps, truth.labels, seen, truth.visible)
+    settings = config(
+        anchors={'nodes': [0, 5]}, filter={'measurement_noise': factor * noise if measured else 1}
+    )
+    reference = None if measured else truth
+    found = judge(markers, settings, 0.1, reference, {'it': run, 'blind': said(run.position)})
+    close(found.details['it'].coverage, expected, 890 * 4 * 3)
+    assert found.details['blind'].coverage is None
+    assert found.details['blind'].by_speed == found.details['it'].by_speed
+
+
+def test_sigma_of_kinematic_filters() -> None:
+    # A marker that does what its filter believes: white noise on the acceleration.
+    rng = np.random.default_rng(6)
+    dt, density, frames = 0.01, 0.3, 6000
+    root = np.linalg.cholesky(density * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]))
+    kicks = rng.standard_normal((frames, 18, 2)) @ root.T
+    speed = np.cumsum(kicks[..., 1], axis=0)
+    moved = np.cumsum(kicks[..., 0] + dt * np.vstack([np.zeros((1, 18)), speed[:-1]]), axis=0)
+    noisy = moved + 3e-4 * rng.standard_normal(moved.shape)
+    stamps, shown = np.arange(frames) * STEP, np.ones((frames, 6), bool)
+    truth, markers = (
+        MarkerSequence(stamps, tuple('abcdef'), p.reshape(frames, 6, 3), shown)
+        for p in (moved, noisy)
+    )
+    settings = config(filter={'measurement_noise': 3e-4}, baseline={'cv_noise': density})
+    found = evaluate(markers, settings, 0.1, truth, {'kf_cv': METHODS['kf_cv']})
+    # 108,000 errors, but over the 10 frames of a horizon they are nearly the same ones
+    close(found.details['kf_cv'].coverage, NORMAL, 18 * frames // 20)
+
+
+class RandomWalk:
+    """The right filter of 18 coordinates that each walk at random, but for a factor on sigma."""
+
+    def __init__(self, factor: float, walk: float, noise: float) -> None:
+        self._belief = Gaussian(np.zeros(18), np.eye(18))
+        self._walk, self._noise = (factor * walk) ** 2, (factor * noise) ** 2
+
+    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> float:
+        before = Gaussian(self._belief.mean, self._belief.cov + self._walk * np.eye(18))
+        rows = np.flatnonzero(visible.repeat(3))
+        residual = positions.ravel()[rows] - before.mean[rows]
+        noise = np.full(len(rows), self._noise)
+        self._belief, learnt = condition(before, rows, noise, residual)
+        return learnt.nis / len(rows) if len(rows) else np.nan
+
+    def predict(self, horizon: float) -> Predicted:
+        variance = np.diagonal(self._belief.cov)[::3] + horizon / 0.01 * self._walk
+        return Predicted(self._belief.mean.reshape(6, 3), np.sqrt(variance))
+
+
+@pytest.mark.parametrize(('factor', 'expected'), [(1.0, NORMAL), (0.5, HALVED), (2.0, DOUBLED)])
+def test_nis_and_coverage_of_a_linear_filter(factor: float, expected: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(7)
+    walk, noise, frames = 0.002, 0.001, 2000
+    truth = np.cumsum(walk * rng.standard_normal((frames, 6, 3)), axis=0)
+    seen = truth + noise * rng.standard_normal(truth.shape)
+    visible = rng.random((frames, 6)) > 0.2
+    visible[300] = False  # nothing learnt is not an innovation of zero
+    markers = MarkerSequence(np.arange(frames) * STEP, tuple('abcdef'), seen, visible)
+    settings = config(filter={'measurement_noise': factor * noise})
+    method = {'it': lambda _: RandomWalk(factor, walk, noise)}
+    found = evaluate(markers, settings, 0.01, methods=method).details['it']
+    # about 14 degrees of freedom in each of 1898 frames; four deviations of their chi-square
+    assert found.nis * factor**2 == pytest.approx(1.0, abs=4 * np.sqrt(2 / (14 * 1898)))
+    close(found.coverage, expected, 1898 * 14)
+
+
+def test_nis_and_sigma_are_those_of_the_tracker() -> None:
+    rng = np.random.default_rng(8)
+    clean = moving()
+    noisy = clean.positions + 3e-4 * rng.standard_normal(clean.positions.shape)
+    markers = MarkerSequence(GRID, clean.labels, noisy, clean.visible)
+    found = evaluate(markers, config(), 0.1).details
+    tracker, method, learnt = Tracker(config()), METHODS['ekf'](config()), []
+    assert np.isnan(method.predict(0.1).sigma).all()
+    for k, stamp in enumerate(GRID.tolist()):
+        innovation = tracker.step(stamp, noisy[k], clean.visible[k]).innovation
+        learnt.append(np.nan if innovation is None else innovation.nis / 18)
+        method.step(stamp, noisy[k], clean.visible[k])
+    np.testing.assert_array_equal(method.predict(0.1).position, tracker.predict(0.1).position)
+    np.testing.assert_array_equal(method.predict(0.1).sigma, tracker.predict(0.1).sigma)
+    assert found['ekf'].nis == pytest.approx(np.mean(learnt[100:191]), rel=1e-12)  # a sum
+    for name in KINEMATIC:
+        assert np.isnan(found[name].nis)
+
+
+# --- errors by speed -------------------------------------------------------------------------
+
+
+def test_errors_by_speed_of_uniform_motions() -> None:
+    velocity = np.outer([3, 1, 6, 2, 5, 4], [0.6, 0.0, -0.8])  # m/s
+    found = evaluate(moving(velocity=velocity), config(), 0.1, methods=KINEMATIC)
+    parts = found.details['hold'].by_speed
+    assert [part.up_to_m_s for part in parts] == pytest.approx([2.0, 4.0, 6.0])
+    expected = [100 * np.sqrt((a**2 + b**2) / 2) for a, b in ((1, 2), (3, 4), (5, 6))]
+    # rounding sorts equal speeds at random, so the last few of a third may be of its neighbour
+    assert [part.rmse_mm for part in parts] == pytest.approx(expected, rel=1e-9)
+    for part in found.details['kf_cv'].by_speed:
+        assert part.rmse_mm < ROUNDING
+    driven = config(anchors={'nodes': [0, 2, 3]})
+    parts = evaluate(moving(velocity=velocity), driven, 0.1).details['hold'].by_speed
+    assert [part.up_to_m_s for part in parts] == pytest.approx([1.0, 4.0, 5.0])
+    assert [part.rmse_mm for part in parts] == pytest.approx([100.0, 400.0, 500.0])
+
+
+def test_errors_by_speed_by_hand() -> None:
+    errors = np.array([[0.001, 0.002, 0.003], [0.004, np.nan, 0.006]])
+    speed = np.array([[5.0, 4.0, np.nan], [3.0, 2.0, 1.0]])
+    slow, medium, fast = by_speed(errors, speed)
+    assert slow.up_to_m_s == 3.0  # of four speeds, the slowest third is two
+    assert slow.rmse_mm == pytest.approx(np.sqrt((36 + 16) / 2))
+    assert (medium, fast) == (SpeedBin(4.0, 2.0), SpeedBin(5.0, 1.0))
+    for part in by_speed(errors, np.full((2, 3), np.nan)):
+        assert np.isnan([part.up_to_m_s, part.rmse_mm]).all()
+    still, *faster = by_speed(errors, np.zeros((2, 3)))  # all alike: all are in the slowest third
+    assert still.rmse_mm == pytest.approx(np.sqrt((1 + 4 + 9 + 16 + 36) / 5))
+    assert np.isnan([part.rmse_mm for part in faster]).all()
+
+
+def test_speeds_are_central_differences() -> None:
+    visible = np.ones((201, 6), bool)
+    visible[50, 2] = False
+    motion = moving(acceleration=ACCELERATION, visible=visible)
+    found = speeds(motion, GRID, STEP)
+    expected = np.linalg.norm(VELOCITY + ACCELERATION * (GRID / 1e9)[:, None], axis=1)
+    known = np.isfinite(found)
+    assert np.argwhere(~known[1:-1]).tolist() == [[48, 2], [50, 2]]  # beside the hidden one
+    assert not known[[0, -1]].any()
+    np.testing.assert_allclose(  # exact for a parabola, but for rounding
+        found[known], expected[:, None].repeat(6, axis=1)[known], rtol=1e-10
+    )
 
 
 # --- positions at other times ----------------------------------------------------------------

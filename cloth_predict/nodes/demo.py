@@ -22,12 +22,13 @@ from cloth_predict import commands, config
 from cloth_predict.association import markers_of_nodes
 from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictError
-from cloth_predict.evaluation import METHODS, Evaluation, in_order, judge, predict_all
+from cloth_predict.evaluation import Evaluation, Run, in_order, judge, predict_all
 from cloth_predict.formats.bag import create_bag, read_clouds
 from cloth_predict.formats.pointcloud import decode, xyz
 from cloth_predict.formats.recording import read
 from cloth_predict.nodes._ros import spin
 from cloth_predict.nodes.recorder import Recorder
+from cloth_predict.predictors import METHODS, Predicted
 from cloth_predict.types import FloatArray, IntArray
 
 DISCOVERY = 20.0
@@ -89,17 +90,16 @@ def demo(bag: Path, config_path: Path, output: Path, progress: Callable[[int, in
         finally:
             recorder.destroy_node()
             context.try_shutdown()
-    live = _live_predictions(output, markers.stamps, settings)
-    predicted, seconds = {}, {}
-    for name, make in METHODS.items():
-        predicted[name], seconds[name] = predict_all(make(settings), markers, settings.horizon)
+    runs = {
+        name: predict_all(make(settings), markers, settings.horizon)
+        for name, make in METHODS.items()
+    }
     arrivals = recorder.arrivals
     latency = _latencies(arrivals['markers'], arrivals['cloth/prediction'], settings.horizon)
-    predicted['ekf_live'], seconds['ekf_live'] = live, float(np.mean(latency)) * len(markers) / 1e3
-    reference = commands.reference_of(source, markers) or markers
-    evaluation = judge(
-        markers, settings, settings.horizon, reference, predicted, seconds, str(bag)
-    )
+    seconds = float(np.mean(latency)) * len(markers) / 1e3
+    runs['ekf_live'] = _live_run(output, markers.stamps, settings, seconds)
+    reference = commands.reference_of(source, markers)
+    evaluation = judge(markers, settings, settings.horizon, reference, runs, str(bag))
     counts = {
         'frames_published': len(source.markers),
         'frames_predicted': len(arrivals['cloth/prediction']),
@@ -224,16 +224,17 @@ def _domain() -> Iterator[None]:
             os.environ.update(before)
 
 
-def _live_predictions(output: Path, stamps: IntArray, settings: Config) -> FloatArray:
-    """Published predictions [m] for the frames at `stamps`, (frames, nodes, 3); NaN where lost."""
-    published = {
-        stamp: xyz(decode(message, ('x', 'y', 'z')))
-        for stamp, message in read_clouds(output, 'cloth/prediction')
-    }
-    nodes = settings.model.rows * settings.model.cols
-    unknown = np.full((nodes, 3), np.nan)
+def _live_run(output: Path, stamps: IntArray, settings: Config, seconds: float) -> Run:
+    """Published predictions for the frames at `stamps`; NaN where lost."""
+    published = {}
+    for stamp, message in read_clouds(output, 'cloth/prediction'):
+        points = decode(message, ('x', 'y', 'z', 'sigma'))
+        published[stamp] = Predicted(xyz(points), points['sigma'].ravel().astype(float))
+    unknown = Predicted.unknown(settings.model.rows * settings.model.cols)
     ahead = round(settings.horizon * 1e9)
-    return np.array([published.get(stamp + ahead, unknown) for stamp in stamps.tolist()])
+    found = [published.get(stamp + ahead, unknown) for stamp in stamps.tolist()]
+    positions, sigmas = (np.array(values) for values in zip(*found, strict=True))
+    return Run(positions, sigmas, np.full(len(stamps), np.nan), seconds)
 
 
 def _latencies(
