@@ -2,9 +2,46 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+from scipy.special import gammaincinv
+
 from cloth_predict.config import Config
-from cloth_predict.errors import FormatError
-from cloth_predict.types import MarkerSequence
+from cloth_predict.errors import FormatError, FrameError
+from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
+
+GATE = 0.999
+"""Share of the true points that lie inside the gate."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """Which node each point is: `node`, shape (m,), -1 for a ghost; and how many were left over.
+
+    ghosts: points without a node; missing: nodes without a point.
+    """
+
+    node: IntArray
+    ghosts: int
+    missing: int
+
+
+@dataclass(frozen=True)
+class Checked:
+    """Labelled markers after the check of their labels.
+
+    positions [m], shape (nodes, 3), NaN where hidden by the check; visible, shape (nodes,);
+    outside: markers that were not in the gate of their node; swapped: those of them that were
+    put right, the others are hidden.
+    """
+
+    positions: FloatArray
+    visible: BoolArray
+    outside: int
+    swapped: int
 
 
 def markers_of_nodes(sequence: MarkerSequence, config: Config, source: str) -> MarkerSequence:
@@ -13,9 +50,17 @@ def markers_of_nodes(sequence: MarkerSequence, config: Config, source: str) -> M
     Without `labels` the order of the recording is that of the nodes. Raises FormatError naming the
     recording and the label or the two sizes that do not fit.
     """
+    if sequence.frame_id not in ('', config.frame):
+        raise FormatError(
+            f'{source}: the markers are in the frame {sequence.frame_id!r}, but the parameter '
+            f'frame is {config.frame!r}'
+        )
     if config.labels:
         sequence = choose(sequence, config.labels, source)
     nodes = config.model.rows * config.model.cols
+    labelled = np.flatnonzero(~sequence.unlabelled)
+    if not config.labels and len(labelled) == nodes:
+        sequence = sequence.select(labelled)  # others in view are left out
     if len(sequence.labels) != nodes:
         raise FormatError(
             f'{source}: {len(sequence.labels)} markers ({_listed(sequence.labels)}) do not fit '
@@ -34,6 +79,107 @@ def choose(sequence: MarkerSequence, labels: tuple[str, ...], source: str) -> Ma
                 f'{source}: no marker {label!r} (there are {_listed(sequence.labels)})'
             )
     return sequence.select([column[label] for label in labels])
+
+
+def match(
+    predicted: FloatArray, covariances: FloatArray, points: FloatArray, gate: float = GATE
+) -> Match:
+    """Assign unlabelled points to nodes: global nearest neighbour inside a gate.
+
+    predicted [m], shape (nodes, 3); covariances S [m^2], shape (nodes, 3, 3), of prediction and
+    measurement together; points [m], shape (m, 3); gate: probability. Minimises the sum of
+    d^2 = e' S^-1 e, where a node without a point costs as much as the gate, the quantile of
+    chi-square with 3 degrees (Bar-Shalom and Li 1995, sections 2.3 and 2.5). Raises FrameError for
+    points of another shape or not finite.
+    """
+    points, limit = checked(points), limit_of(gate)
+    i, j, cost = _candidates(predicted, covariances, points, limit)
+    node = np.full(len(points), -1)
+    alone = (np.bincount(i, minlength=1)[i] == 1) & (np.bincount(j, minlength=1)[j] == 1)
+    node[j[alone]] = i[alone]
+    i, j, cost = i[~alone], j[~alone], cost[~alone]
+    rows, i = np.unique(i, return_inverse=True)
+    columns, j = np.unique(j, return_inverse=True)
+    table = np.full((len(rows), len(columns)), limit)
+    table[i, j] = cost
+    row, column = linear_sum_assignment(table)
+    inside = table[row, column] < limit
+    node[columns[column[inside]]] = rows[row[inside]]
+    found = int((node >= 0).sum())
+    return Match(node, len(points) - found, len(predicted) - found)
+
+
+def check_labels(
+    predicted: FloatArray,
+    covariances: FloatArray,
+    positions: FloatArray,
+    visible: BoolArray,
+    gate: float = GATE,
+) -> Checked:
+    """Put swapped labels right and hide markers that are at no node; marker i should be node i.
+
+    predicted, covariances and gate as in `match`; positions [m], shape (nodes, 3), visible, shape
+    (nodes,). A marker outside the gate of its own node moves to a node inside whose gate it lies
+    and whose own marker is outside too; where there is none it is hidden. Raises FrameError for a
+    visible marker that is not finite.
+    """
+    error = checked(positions[visible]) - predicted[visible]
+    far = np.flatnonzero(visible)[squared(error, covariances[visible]) >= limit_of(gate)]
+    positions, visible = positions.copy(), visible.copy()
+    if not len(far):
+        return Checked(positions, visible, 0, 0)
+    found = match(predicted[far], covariances[far], positions[far], gate)
+    positions[far], visible[far] = in_node_order(found.node, positions[far], len(far))
+    return Checked(positions, visible, len(far), len(far) - found.ghosts)
+
+
+def in_node_order(node: IntArray, points: FloatArray, nodes: int) -> tuple[FloatArray, BoolArray]:
+    """Positions [m], shape (nodes, 3), NaN where there is no point, and visible, shape (nodes,).
+
+    node, shape (m,): the node of each point, or -1; points [m], shape (m, 3).
+    """
+    positions, visible = np.full((nodes, 3), np.nan), np.zeros(nodes, bool)
+    positions[node[node >= 0]] = points[node >= 0]
+    visible[node[node >= 0]] = True
+    return positions, visible
+
+
+def checked(points: FloatArray) -> FloatArray:
+    """Return the points. Raises FrameError unless they have shape (m, 3) and are finite."""
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise FrameError(f'points have shape {points.shape}, expected (m, 3)')
+    bad = ~np.isfinite(points).all(axis=1)
+    if bad.any():
+        raise FrameError(f'point {int(bad.argmax())} has a coordinate that is not finite')
+    return points
+
+
+def limit_of(gate: float) -> float:
+    """Quantile of chi-square with 3 degrees. Raises ValueError unless 0 < gate < 1."""
+    if not 0 < gate < 1:
+        raise ValueError(f'gate must lie between 0 and 1, not {gate}')
+    return float(2.0 * gammaincinv(1.5, gate))
+
+
+def squared(error: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Mahalanobis distances squared e' S^-1 e, shape (m,), of (m, 3) [m] and (m, 3, 3) [m^2]."""
+    return np.asarray((error * np.linalg.solve(covariances, error[..., None])[..., 0]).sum(-1))
+
+
+def _candidates(
+    predicted: FloatArray, covariances: FloatArray, points: FloatArray, limit: float
+) -> tuple[IntArray, IntArray, FloatArray]:
+    """Nodes i, points j and squared distances, each (pairs,), of all pairs inside the gate."""
+    if not len(points):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+    # the trace bounds the largest eigenvalue, so that the sphere holds the ellipsoid of the gate
+    radius = np.sqrt(limit * np.trace(covariances, axis1=1, axis2=2))
+    near = cKDTree(points).query_ball_point(predicted, radius)
+    i = np.repeat(np.arange(len(predicted)), [len(found) for found in near])
+    j = np.concatenate(near).astype(np.int64)
+    cost = squared(points[j] - predicted[i], covariances[i])
+    inside = cost < limit
+    return i[inside], j[inside], cost[inside]
 
 
 def _listed(labels: tuple[str, ...], most: int = 4) -> str:

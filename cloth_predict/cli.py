@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +24,7 @@ from cloth_predict.simulate import SCENARIOS
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; known errors are one line on standard error and exit code 1."""
     options = _parser().parse_args(arguments)
+    warnings.showwarning = _warn
     try:
         # the matrices are small: a second BLAS thread costs more than it computes
         with threadpool_limits(1):
@@ -31,7 +34,13 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:  # the reader, such as `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
+
+
+def _warn(message: Warning | str, *_: object, **__: object) -> None:
+    print(f'cloth-predict: warning: {message}', file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:

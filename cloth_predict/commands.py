@@ -46,13 +46,13 @@ def predict(source: Path, config_path: Path, output: Path, progress: Progress) -
     keep_source(source, output)
     config = configuration.load(config_path)
     markers = markers_of_nodes(read(source).markers, config, str(source))
-    tracker = Tracker(config)
+    tracker, frame_id = Tracker(config), config.frame
     rows, cols = config.model.rows, config.model.cols
     with create_bag(output, markers.labels) as bag:
         for k, stamp in enumerate(markers.stamps.tolist()):
             positions, visible = markers.positions[k], markers.visible[k]
             points = encode_markers(positions, visible, markers.unlabelled)
-            bag.cloud('/markers', stamp, markers.frame_id, points)
+            bag.cloud('/markers', stamp, frame_id, points)
             outcome = tracker.step(stamp, positions, visible).outcome
             if tracker.started and outcome != 'late':
                 for topic, surface in (
@@ -60,7 +60,7 @@ def predict(source: Path, config_path: Path, output: Path, progress: Progress) -
                     ('/cloth/prediction', tracker.predict(config.horizon)),
                 ):
                     cloud = encode_surface(surface, rows, cols)
-                    bag.cloud(topic, surface.stamp, markers.frame_id, cloud)
+                    bag.cloud(topic, surface.stamp, frame_id, cloud)
             progress(1, len(markers))
     return tracker.counts
 

@@ -306,6 +306,11 @@ def _check_together(config: Config, source: str) -> None:
     if len(set(config.labels)) != len(config.labels):
         raise ConfigError(f'{source}: labels: a label is listed twice')
     nodes = config.model.rows * config.model.cols
+    if config.labels and len(config.labels) != nodes:
+        raise ConfigError(
+            f'{source}: labels: {len(config.labels)} labels, but model.rows x model.cols has '
+            f'{nodes} nodes'
+        )
     outside = [node for node in config.anchors.nodes if node >= nodes]
     if outside:
         raise ConfigError(

@@ -60,9 +60,9 @@ class Run:
 class Evaluation:
     """The comparison at one horizon.
 
-    errors [m] by method, shape (frames, markers), NaN where not counted; targets [ns], shape
-    (frames,): the times predicted for; actual [m] and predicted [m] by method, each
-    (frames, markers, 3).
+    start [ns]: the first stamp of the recording; errors [m] by method, shape (frames, markers),
+    NaN where not counted; targets [ns], shape (frames,): the times predicted for;
+    actual [m] and predicted [m] by method, each (frames, markers, 3).
     """
 
     horizon: float
@@ -70,6 +70,7 @@ class Evaluation:
     details: dict[str, Details]
     us_per_frame: dict[str, float]
     errors: dict[str, FloatArray]
+    start: int
     targets: IntArray
     actual: FloatArray
     predicted: dict[str, FloatArray]
@@ -155,6 +156,7 @@ def judge(
         _details(runs, errors, actual, speeds(shown, targets, interval), free, noise),
         {name: 1e6 * run.seconds / len(markers) for name, run in runs.items()},
         errors,
+        int(markers.stamps[0]),
         targets,
         actual,
         {name: run.position for name, run in runs.items()},

@@ -26,7 +26,7 @@ def error_over_time(evaluation: Evaluation, path: Path) -> None:
     """Root mean square error over the markers of each frame, one line per method."""
     figure = Figure(figsize=(9, 4), layout='constrained')
     axes = figure.add_subplot()
-    seconds = (evaluation.targets - evaluation.targets[0]) / 1e9
+    seconds = (evaluation.targets - evaluation.start) / 1e9
     for name, errors in evaluation.errors.items():
         seen = np.isfinite(errors).any(axis=1)
         mean_square = np.nanmean(np.square(errors[seen]), axis=1)
@@ -39,14 +39,14 @@ def error_over_time(evaluation: Evaluation, path: Path) -> None:
             label=f'{name}: {rmse:.1f} mm RMS',
         )
     axes.set(
-        xlabel='time [s]',
+        xlabel='time of the recording [s]',
         ylabel='error of the prediction [mm]',
         title=f'Predicted {1e3 * evaluation.horizon:g} ms ahead',
-        xlim=(0, seconds[-1]),
+        xlim=(seconds[0], seconds[-1]),
         ylim=(0, None),
     )
     axes.grid(alpha=0.3)
-    axes.legend(loc='upper right')
+    axes.legend(loc='upper left', bbox_to_anchor=(1, 1))
     figure.savefig(path, dpi=120)
 
 
@@ -76,7 +76,7 @@ def snapshots(
         axes.set_zlim(low[1], high[1])
         axes.view_init(elev=12, azim=-60)
         axes.tick_params(labelsize=6)
-        seconds = (evaluation.targets[k] - evaluation.targets[0]) / 1e9
+        seconds = (evaluation.targets[k] - evaluation.start) / 1e9
         axes.set_title(f't = {seconds:.1f} s', fontsize=10)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc='outside lower center', ncols=3)

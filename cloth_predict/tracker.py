@@ -24,6 +24,8 @@ from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import BoolArray, FloatArray, Gaussian, Innovation, IntArray, Surface
 
 NANOSECONDS = 1e9
+FARTHEST = 1e4
+"""Coordinate [m] from which on a marker is taken for a fault: no volume is that large."""
 FEWEST_TO_START = 3
 """Visible nodes without which the first surface would be a guess."""
 
@@ -92,9 +94,12 @@ class Tracker:
                 f'positions {positions.shape} and visible {visible.shape}, but model.rows x '
                 f'model.cols has {self.nodes} nodes'
             )
-        bad = visible & ~np.isfinite(positions).all(axis=1)
+        bad = visible & ~(np.abs(positions) < FARTHEST).all(axis=1)
         if bad.any():
-            raise FrameError(f'marker {int(bad.argmax())} has a coordinate that is not finite')
+            raise FrameError(
+                f'marker {int(bad.argmax())} has a coordinate that is not finite, or beyond '
+                f'{FARTHEST:g} m'
+            )
 
     def _advance(self, stamp: int, positions: FloatArray, visible: BoolArray) -> Step:
         if self._stamp is None or self._belief is None:

@@ -64,7 +64,8 @@ class MarkerSequence:
     labels: tuple[str, ...]
     positions: FloatArray
     visible: BoolArray
-    frame_id: str = 'mocap'
+    frame_id: str = ''
+    """Frame of the coordinates; empty where the recording does not name one."""
 
     def __post_init__(self) -> None:
         frames, markers = len(self.stamps), len(self.labels)

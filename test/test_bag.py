@@ -635,7 +635,7 @@ def test_an_own_bag_is_replaced(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ['x', 'y']
 
 
-@pytest.mark.parametrize('kind', ['empty folder', 'folder', 'foreign bag', 'file', 'mcap'])
+@pytest.mark.parametrize('kind', ['folder', 'foreign bag', 'file', 'mcap'])
 def test_what_others_made_is_not_overwritten(tmp_path: Path, kind: str) -> None:
     path = tmp_path / ('x.mcap' if kind == 'mcap' else 'x')
     if kind == 'foreign bag':
@@ -646,14 +646,28 @@ def test_what_others_made_is_not_overwritten(tmp_path: Path, kind: str) -> None:
         path.write_text('precious')
     else:
         path.mkdir()
-        if kind == 'folder':
-            (path / 'notes.txt').write_text('precious')
-            (path / 'metadata.yaml').write_text('rosbag2_bagfile_information: {}')
+        (path / 'notes.txt').write_text('precious')
+        (path / 'metadata.yaml').write_text('rosbag2_bagfile_information: {}')
     before = content_of(tmp_path)
     expected = 'exists and was not made by cloth-predict; not overwritten'
     assert failure(path, write) == expected
     assert content_of(tmp_path) == before
-    assert path.is_dir() == (kind in ('empty folder', 'folder', 'foreign bag'))
+    assert path.is_dir() == (kind in ('folder', 'foreign bag'))
+
+
+def test_an_empty_folder_is_filled(tmp_path: Path) -> None:
+    (tmp_path / 'x').mkdir()
+    write(tmp_path / 'x', sequence())
+    write(tmp_path / 'y', sequence())
+    assert content_of(tmp_path / 'x') == content_of(tmp_path / 'y')
+
+
+def test_one_message_in_another_frame(tmp_path: Path) -> None:
+    other = cloud((1, 2, 3, 0), stamp=1)
+    other.header.frame_id = 'world'
+    foreign(tmp_path / 'x', [(0, cloud((1, 2, 3, 0))), (1, other)])
+    expected = "markers: message 1 is in the frame 'world', those before in 'camera'"
+    assert failure(tmp_path / 'x') == expected
 
 
 @pytest.mark.parametrize('reason', [RuntimeError, KeyboardInterrupt, FormatError])

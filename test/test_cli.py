@@ -532,7 +532,7 @@ def test_labels_that_do_not_fit(run: Run, bag: Path, parameters: Parameters) -> 
     assert line == f"{bag}: no marker 'g' (there are a, b, c, d, ... f)"
     config = small(parameters, labels=['b', 'a'])
     line = run.badly('evaluate', bag, '-c', config)
-    assert line.startswith(f'{bag}: 2 markers (b, a) do not fit model.rows x model.cols = 2 x 3')
+    assert line == f'{config}: labels: 2 labels, but model.rows x model.cols has 6 nodes'
     config = small(parameters, labels=['a', 'b', 'c', 'd', 'e', 'a'])
     assert 'labels' in run.badly('evaluate', bag, '-c', config)
 

@@ -55,7 +55,7 @@ def test_no_parameters_are_the_defaults(file: Path) -> None:
 def test_every_kind_of_value(file: Path) -> None:
     text = """
     horizon: 0.25
-    labels: [b, a]
+    labels: [b, a, c, d, e, f]
     model: {rows: 2, cols: 3, gravity: [0.0, 0.0, -9.81]}
     anchors:
       nodes: [5, 0]
@@ -63,7 +63,7 @@ def test_every_kind_of_value(file: Path) -> None:
     replay: {loop: true, clock: false, seed: 7}
     """
     config = load(body(file, text))
-    assert (config.horizon, config.labels) == (0.25, ('b', 'a'))
+    assert (config.horizon, config.labels) == (0.25, tuple('bacdef'))
     assert (config.model.rows, config.model.cols) == (2, 3)
     assert config.model.gravity == (0.0, 0.0, -9.81)
     assert (config.anchors.nodes, config.anchors.motion) == ((5, 0), 'constant_velocity')
@@ -159,7 +159,8 @@ WORDS = 'a: b|1|1e-3|true|yes|null|~|2020-01-01|0x10|.nan|<<|=|&a|*b|- a|{|[|#x|
     'label', [*WORDS.split('|'), '', ' ', 'a\nb', '\t', 'Größe', '\u2028', 'long word ' * 30]
 )
 def test_labels_survive_whatever_they_look_like(file: Path, label: str) -> None:
-    config = build({'labels': [label, 'x'], 'frame': label}, 'x')
+    two = {'rows': 1, 'cols': 2}
+    config = build({'labels': [label, 'x'], 'frame': label, 'model': two}, 'x')
     file.write_text(dump(config), encoding='utf-8')
     assert load(file).labels == (label, 'x')
     assert load(file).frame == label
@@ -169,7 +170,8 @@ def test_empty_lists_are_left_out_of_the_file() -> None:
     text = dump(Config())
     assert '[]' not in text
     assert 'labels' not in text
-    assert 'labels: [a]' in dump(build({'labels': ['a']}, 'x'))
+    one = {'rows': 1, 'cols': 1}
+    assert 'labels: [a]' in dump(build({'labels': ['a'], 'model': one}, 'x'))
     assert 'nodes' not in parse_yaml(text)['/**']['ros__parameters']['anchors']
 
 
@@ -260,6 +262,11 @@ def test_nested_names_build_what_a_file_builds() -> None:
 )  # fmt: skip
 def test_a_wrong_parameter_is_one_line_that_names_it(file: Path, text: str, expected: str) -> None:
     assert refused(file, text) == expected
+
+
+def test_labels_that_are_not_as_many_as_the_nodes(file: Path) -> None:
+    expected = 'labels: 2 labels, but model.rows x model.cols has 20 nodes'
+    assert refused(file, 'labels: [a, b]') == expected
 
 
 def test_a_label_listed_twice(file: Path) -> None:

@@ -315,6 +315,14 @@ def test_stamps_that_repeat_or_run_backwards_are_dropped_a_jump_back_restarts(gr
     assert values(graph)['restarted_steps'] == '1'
 
 
+def test_diagnostics_warn_while_there_are_too_few_markers(graph, ekf, towel):
+    ekf.publish(frame(0, towel.positions[0, 4:], ids=np.arange(4, 20)))  # no driven node
+    graph.until(
+        lambda: any('no surface yet' in m.status[0].message for m in graph.heard['diagnostics'])
+    )
+    assert graph.heard['cloth/estimate'] == []
+
+
 def test_unlabelled_points_are_counted_and_not_used(graph, ekf, towel):
     ids = np.arange(20)
     ids[7] = UNLABELLED
@@ -336,8 +344,9 @@ def test_projector_drops_a_surface_of_another_size(graph, towel):
     broken['vx'][2, 2] = np.nan
     for bad in (points.reshape(4, 5), points.ravel(), broken):
         publisher.publish(cloud(1, 'mocap', bad))
+    publisher.publish(cloud(1, 'world', points))
     publisher.publish(cloud(2, 'mocap', points))
-    graph.until(lambda: values(graph).get('bad_frames') == '3')
+    graph.until(lambda: values(graph).get('bad_frames') == '4')
     assert stamps(graph.heard['projector/vertices']) == [2]
 
 
@@ -395,7 +404,8 @@ def test_replay_pauses_and_resumes(graph, towel, towel_bag):
 
 
 def test_replay_chooses_and_orders_markers_by_label(graph, towel, towel_bag):
-    node = replay(graph, towel_bag, labels=['cloth:9', 'cloth:2'])
+    two = {'model.rows': 1, 'model.cols': 2, 'anchors.nodes': [0]}
+    node = replay(graph, towel_bag, labels=['cloth:9', 'cloth:2'], **two)
     graph.until(lambda: node.finished)
     points = decode(graph.heard['markers'][0], ('x', 'y', 'z', 'id')).ravel()
     assert points['id'].tolist() == [0, 1]
@@ -417,7 +427,10 @@ def test_replay_marks_what_the_mocap_system_did_not_identify(graph, towel, tmp_p
     [
         ({'replay.path': 'nowhere'}, 'nowhere: no such file or folder'),
         ({'replay.start': 99.0}, 'replay.start'),
-        ({'labels': ['cloth:99']}, "no marker 'cloth:99'"),
+        ({'labels': [f'cloth:{k}' for k in range(1, 21)]}, "no marker 'cloth:20'"),
+        ({'labels': ['cloth:1']}, 'labels: 1 labels, but .* 20 nodes'),
+        ({'model.rows': 4}, '20 markers .* do not fit .* 4 x 4'),
+        ({'frame': 'world'}, "in the frame 'mocap', but the parameter frame is 'world'"),
     ],
 )
 def test_replay_of_what_is_not_there_ends_at_the_start(graph, towel_bag, parameters, words):
@@ -452,6 +465,8 @@ def process(node, *parameters, config=TOWEL, domain=None):
     [
         ('ekf_node', 'model.colums:=4', 'model.colums: unknown parameter'),
         ('ekf_node', 'model.rows:=three', "model.rows: expected int, got 'three'"),
+        ('ekf_node', 'ekf_node:model.rows:=2.5', 'model.rows: expected int, got 2.5'),
+        ('ekf_node', 'anchors.nodes:=[a]', "anchors.nodes: expected int, got 'a'"),
         ('ekf_node', 'filter.max_step:=0.0', 'filter.max_step: 0.0 is out of range'),
         ('projector_node', 'projector.alpha:=-1.0', 'projector.alpha: -1.0 is out of range'),
         ('mocap_replay_node', 'replay.path:=nowhere.csv', 'nowhere.csv: no such file'),
@@ -463,6 +478,25 @@ def test_a_bad_configuration_stops_the_node_with_one_line(node, rule, words):
     lines = errors.strip().splitlines()
     assert len(lines) == 1, errors
     assert words in lines[0]
+
+
+def test_the_last_value_given_to_this_node_counts(graph):
+    rules = ('model.rows:=0', 'projector_node:model.rows:=0', 'model.rows:=5')
+    running = process('ekf_node', *rules, domain=graph.domain)
+    try:
+        graph.until(lambda: 'ekf_node' in graph.probe.get_node_names())
+        assert running.poll() is None
+    finally:
+        running.terminate()
+        _, errors = running.communicate(timeout=DEADLINE)
+    assert (running.returncode, errors) == (0, '')
+
+
+def test_parameters_cannot_change_while_the_node_runs(graph):
+    node = graph.start(EkfNode, **flat())
+    (result,) = node.set_parameters([Parameter('horizon', value=-5.0)])
+    assert not result.successful
+    assert 'horizon' in result.reason
 
 
 def test_a_parameter_file_that_is_not_there_stops_the_node():

@@ -31,6 +31,9 @@ from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 CLOUD = 'sensor_msgs/msg/PointCloud2'
+UNNAMED_FRAME = 'mocap'
+"""Frame of markers whose recording names none, such as a Motive CSV."""
+
 LATEST = 2**31 * 10**9
 """First time [ns] that a ROS message cannot hold."""
 
@@ -100,7 +103,7 @@ def create_bag(path: Path, labels: tuple[str, ...] = ()) -> Iterator[BagWriter]:
 
     A bag that this project made before is replaced; anything else at `path` is an error.
     """
-    if os.path.exists(path) and not _is_own(path):
+    if os.path.exists(path) and not (_is_own(path) or _is_empty_folder(path)):
         raise FormatError(f'{path}: exists and was not made by cloth-predict; not overwritten')
     partial = path.parent / f'.{path.name}.partial'
     shutil.rmtree(partial, ignore_errors=True)
@@ -147,18 +150,19 @@ def cloud_message(stamp: int, frame_id: str, points: NDArray[np.void]) -> Any:
 def write_recording(path: Path, recording: Recording) -> None:
     """Write the markers and, where there is one, the truth."""
     markers, truth = recording.markers, recording.truth
+    frame_id = markers.frame_id or UNNAMED_FRAME
     unlabelled = markers.unlabelled
     with create_bag(path, markers.labels) as bag:
         for k, stamp in enumerate(markers.stamps.tolist()):
             points = encode_markers(markers.positions[k], markers.visible[k], unlabelled)
-            bag.cloud('/markers', stamp, markers.frame_id, points)
+            bag.cloud('/markers', stamp, frame_id, points)
         if truth is not None:
             points = np.zeros(truth.ids.shape, MARKERS)
             points['id'] = np.where(truth.ids < 0, UNLABELLED, truth.ids)
             for k, stamp in enumerate(truth.stamps.tolist()):
                 for i, axis in enumerate('xyz'):
                     points[axis] = truth.surface[k, ..., i]
-                bag.cloud('/truth', stamp, markers.frame_id, points)
+                bag.cloud('/truth', stamp, frame_id, points)
 
 
 def read_recording(path: Path, topic: str = 'markers') -> Recording:
@@ -222,6 +226,10 @@ def _is_own(path: Path) -> bool:
         return False
 
 
+def _is_empty_folder(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())
+
+
 def _sequence(
     clouds: list[tuple[int, Any]], labels: tuple[str, ...], source: str
 ) -> MarkerSequence:
@@ -251,6 +259,12 @@ def _sequence(
         stacked[k, np.where(columns < 0, known - 1 - columns, columns)] = positions
     stamps = np.array([stamp for stamp, _ in clouds], np.int64)
     frame_id = clouds[0][1].header.frame_id
+    for k, (_, message) in enumerate(clouds):
+        if message.header.frame_id != frame_id:
+            raise FormatError(
+                f'{source}: message {k} is in the frame {message.header.frame_id!r}, those before '
+                f'in {frame_id!r}'
+            )
     return MarkerSequence(stamps, names, stacked, ~np.isnan(stacked[..., 0]), frame_id)
 
 

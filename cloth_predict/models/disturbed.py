@@ -98,7 +98,7 @@ class Disturbed:
             order = len(self.process.drift)
             rates = sparse.csr_array((self.gain.shape[0], (order - 1) * self.forces))
             gain = sparse.csr_array(sparse.hstack([self.gain, rates]))
-            drift = sparse.kron(self.process.drift, sparse.eye_array(self.forces))
+            drift = sparse.kron(self.process.drift, sparse.eye(self.forces))
             self._joined = _Joined(inner, gain, sparse.csr_array(drift))
         return self._joined.matrix(inner)
 
@@ -172,7 +172,7 @@ class _Joined:
             numbered = np.arange(count, count + part.nnz)
             parts.append(sparse.csr_array((numbered, part.indices, part.indptr), part.shape))
             count += part.nnz
-        joined = sparse.csr_array(sparse.block_array([[parts[0], parts[1]], [None, parts[2]]]))
+        joined = sparse.csr_array(sparse.bmat([[parts[0], parts[1]], [None, parts[2]]]))
         self._take = joined.data - 1
         self._indices, self._indptr, self._shape = joined.indices, joined.indptr, joined.shape
 

@@ -113,7 +113,7 @@ class MassSpring:
     def jac_force(self) -> sparse.csr_array:
         """Derivative of f with respect to a force on each free node, shape (6 free, 3 free)."""
         n = 3 * len(self.free)
-        gain = sparse.diags_array(np.repeat(self._inverse_mass, 3))
+        gain = sparse.diags(np.repeat(self._inverse_mass, 3))
         return sparse.csr_array(sparse.vstack([sparse.csr_array((n, n)), gain]))
 
     def linearise(self, x: FloatArray, u: FloatArray) -> _Linearised:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import array
+import copy
 import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +17,11 @@ import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from numpy.typing import NDArray
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2, PointField
@@ -46,40 +50,64 @@ class ConfiguredNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
         flat = {k: p.value for k, p in self.get_parameters_by_prefix('').items()}
-        flat |= _typed_overrides(sys.argv, flat)
+        flat |= _hidden(sys.argv, self.get_name(), flat)
         known = {k: v for k, v in flat.items() if k.split('.')[0] not in ROS_PARAMETERS}
         try:
             self.config: Config = build(nest(known), self.get_name())
         except ClothPredictError:
             self.destroy_node()
             raise
+        self.add_on_set_parameters_callback(_refuse)
 
     def publisher(self, kind: type, topic: str) -> Any:
         """Sensor-data publisher whose quality of service can be overridden by parameters."""
-        return self.create_publisher(kind, topic, SENSOR_QOS, qos_overriding_options=OVERRIDABLE)
+        qos = copy.copy(SENSOR_QOS)  # an override writes into the profile
+        return self.create_publisher(kind, topic, qos, qos_overriding_options=OVERRIDABLE)
 
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe to sensor data; the quality of service can be overridden by parameters."""
-        self.create_subscription(
-            kind, topic, callback, INPUT_QOS, qos_overriding_options=OVERRIDABLE
-        )
+        qos = copy.copy(INPUT_QOS)
+        self.create_subscription(kind, topic, callback, qos, qos_overriding_options=OVERRIDABLE)
 
 
-def _typed_overrides(arguments: list[str], flat: dict[str, Any]) -> dict[str, Any]:
-    """Values of `-p name:=value` arguments that ROS dropped.
+def _hidden(arguments: list[str], node: str, flat: dict[str, Any]) -> dict[str, Any]:
+    """Parameters given to this node last, where rcl shows an earlier value of another type.
 
-    Where a parameter file gives the same parameter another type, rcl keeps both values and rclpy
-    takes the one of the simpler type: `-p model.rows:=three` would be ignored in silence.
+    rcl keeps a value of each type and rclpy takes that of the simplest: after `rows: 5` in a file,
+    `-p model.rows:=three` would be ignored in silence.
     """
-    dropped = {}
-    for flag, rule in pairwise(arguments):
-        name, assigned, text = rule.partition(':=')
-        name = name.rpartition(':')[2]
-        if flag in ('-p', '--param') and assigned and name in flat:
-            value = parse_yaml(text)
-            if isinstance(value, (str, int, float)) and value != flat[name]:
-                dropped[name] = value
-    return dropped
+    given: dict[str, Any] = {}
+    for flag, value in pairwise(arguments):
+        if flag == '--params-file':
+            document = parse_yaml(Path(value).read_text(encoding='utf-8')) or {}
+            for name in ('/**', node, f'/{node}'):
+                given |= _flat((document.get(name) or {}).get('ros__parameters') or {})
+        elif flag in ('-p', '--param') and ':=' in value:
+            name, _, text = value.partition(':=')
+            target, _, name = name.rpartition(':')
+            if target in ('', node):
+                given[name] = parse_yaml(text)
+    return {k: v for k, v in given.items() if k in flat and not _same(v, flat[k])}
+
+
+def _flat(tree: dict[str, Any], prefix: str = '') -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in tree.items():
+        inner = isinstance(value, dict)
+        found |= _flat(value, f'{prefix}{key}.') if inner else {f'{prefix}{key}': value}
+    return found
+
+
+def _same(given: Any, shown: Any) -> bool:
+    values = [list(v) if isinstance(v, (list, array.array)) else v for v in (given, shown)]
+    return bool(values[0] == values[1])
+
+
+def _refuse(parameters: list[Parameter]) -> SetParametersResult:
+    """The configuration is checked as a whole, at the start only."""
+    changed = [p.name for p in parameters if p.name.split('.')[0] not in ROS_PARAMETERS]
+    reason = f'{changed[0]} is read at the start only' if changed else ''
+    return SetParametersResult(successful=not changed, reason=reason)
 
 
 def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> int:
@@ -100,7 +128,9 @@ def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> in
         pass
     except ClothPredictError as error:
         return _fatal(error)
-    except RuntimeError:
+    except Exception as error:
+        if node is None and rclpy.ok():  # such as an override of a policy that does not exist
+            return _fatal(error)
         if rclpy.ok():  # else a signal took the context away in the middle of a call
             raise
     finally:
@@ -111,7 +141,10 @@ def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> in
 
 
 def _fatal(error: Exception) -> int:
-    print(f'[FATAL] {" ".join(str(error).split())}', file=sys.stderr)
+    name = (
+        '' if isinstance(error, (ClothPredictError, RuntimeError)) else type(error).__name__ + ' '
+    )
+    print(f'[FATAL] {name}{" ".join(str(error).split())}', file=sys.stderr)
     return 1
 
 
@@ -161,10 +194,18 @@ def cloud(stamp: int, frame_id: str, points: NDArray[np.void]) -> PointCloud2:
 class Diagnostics:
     """Publishes a node's health once per second of real time."""
 
-    def __init__(self, node: Node, values: Callable[[], dict[str, object]]) -> None:
-        """`values` gives what the node itself has to say, read at each publication."""
+    def __init__(
+        self,
+        node: Node,
+        values: Callable[[], dict[str, object]],
+        warning: Callable[[], str] = str,
+        now: Callable[[], Time] | None = None,
+    ) -> None:
+        """Read at each publication: `values` of the node, a `warning` or nothing, `now`."""
         self.counts: Counter[str] = Counter()
-        self._node, self._values = node, values
+        self._node, self._values, self._warning = node, values, warning
+        self._now = now or (lambda: node.get_clock().now().to_msg())
+        self._logged: set[str] = set()
         self._seen: Counter[str] = Counter()
         self._latencies: deque[float] = deque(maxlen=1000)
         self._frames = 0
@@ -178,9 +219,11 @@ class Diagnostics:
         self._latencies.append(latency)
 
     def drop(self, reason: str, text: str) -> None:
-        """Count a frame that cannot be used, and log why at most once per second."""
+        """Count a frame that cannot be used, and log each cause at most once per second."""
         self.counts[reason] += 1
-        self._node.get_logger().warning(f'frame dropped: {text}', throttle_duration_sec=1.0)
+        if text not in self._logged:
+            self._logged.add(text)
+            self._node.get_logger().warning(f'frame dropped: {text}')
 
     def _publish(self) -> None:
         now = time.monotonic()
@@ -198,6 +241,10 @@ class Diagnostics:
         level, text = DiagnosticStatus.OK, 'running'
         if rate == 0:
             level, text = DiagnosticStatus.STALE, 'no frames'
+        self._logged.clear()
+        if warning := self._warning():
+            level, text = DiagnosticStatus.WARN, warning
+            self._node.get_logger().warning(warning)
         if fresh:
             level = DiagnosticStatus.WARN
             text = 'frames dropped: ' + ', '.join(f'{v} {k}' for k, v in fresh.items())
@@ -208,5 +255,5 @@ class Diagnostics:
             hardware_id='cloth_predict',
             values=[KeyValue(key=k, value=str(v)) for k, v in values.items()],
         )
-        stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(DiagnosticArray(header=Header(stamp=stamp), status=[status]))
+        header = Header(stamp=self._now())
+        self._publisher.publish(DiagnosticArray(header=header, status=[status]))

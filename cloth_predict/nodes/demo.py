@@ -81,7 +81,7 @@ def demo(bag: Path, config_path: Path, output: Path, progress: Callable[[int, in
     settings = config.load(config_path)
     source = read(bag)
     markers = in_order(markers_of_nodes(source.markers, settings, str(bag)))
-    with _domain(), create_bag(output, markers.labels) as writer:
+    with _signals(), _domain(), create_bag(output, markers.labels) as writer:
         context = Context()
         rclpy.init(context=context)
         recorder = Recorder(writer, context=context)
@@ -119,7 +119,7 @@ def _run_graph(
     """Start the nodes, wait until they see each other, replay, and stop them."""
     with ExitStack() as stack:
         nodes = [
-            stack.enter_context(_Process(name, config_path))
+            stack.enter_context(_Process(name, config_path, 'use_sim_time:=true'))
             for name in ('ekf_node', 'projector_node')
         ]
 
@@ -207,6 +207,18 @@ class _Process:
                 else f'exit code {self._process.returncode}'
             )
             raise ClothPredictError(f'{self._name} ended: {last}')
+
+
+@contextmanager
+def _signals() -> Iterator[None]:
+    """Take SIGTERM and SIGHUP as Ctrl-C, so that no node is left behind."""
+    taken = (signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(number, signal.default_int_handler) for number in taken]
+    try:
+        yield
+    finally:
+        for number, handler in zip(taken, before, strict=True):
+            signal.signal(number, handler)
 
 
 @contextmanager

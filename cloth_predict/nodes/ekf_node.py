@@ -29,9 +29,9 @@ class EkfNode(ConfiguredNode):
         self._visible = self._unlabelled = 0
         self._estimate = self.publisher(PointCloud2, 'cloth/estimate')
         self._prediction = self.publisher(PointCloud2, 'cloth/prediction')
-        self._mesh = self.publisher(Marker, 'cloth/mesh')
+        self._mesh = self.create_publisher(Marker, 'cloth/mesh', 1)  # as RViz asks for it
         self._triangles = triangles(self.config.model.rows, self.config.model.cols)
-        self._diagnostics = Diagnostics(self, self._values)
+        self._diagnostics = Diagnostics(self, self._values, self._waiting)
         self.subscribe(PointCloud2, 'markers', self._on_markers)
 
     def _on_markers(self, message: PointCloud2) -> None:
@@ -82,6 +82,14 @@ class EkfNode(ConfiguredNode):
         corners = [Point(x=x, y=y, z=z) for x, y, z in surface.position.tolist()]
         marker.points = [corners[i] for i in self._triangles]
         return marker
+
+    def _waiting(self) -> str:
+        if self._tracker.started or not self._tracker.counts['waiting']:
+            return ''
+        return (
+            f'no surface yet: {self._visible} of {self._tracker.nodes} markers seen, needed are '
+            f'three and every driven node'
+        )
 
     def _values(self) -> dict[str, object]:
         innovation = self._step.innovation if self._step else None

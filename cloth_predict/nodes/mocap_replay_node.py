@@ -7,11 +7,12 @@ import time
 from pathlib import Path
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
-from cloth_predict.association import choose
+from cloth_predict.association import markers_of_nodes
 from cloth_predict.errors import ConfigError
 from cloth_predict.formats.pointcloud import encode_markers
 from cloth_predict.formats.recording import read
@@ -33,10 +34,10 @@ class MocapReplayNode(ConfiguredNode):
         replay = self.config.replay
         if not replay.path:
             raise ConfigError(f'{self.get_name()}: replay.path: no recording is given')
-        markers = read(Path(replay.path)).markers
-        if self.config.labels:
-            markers = choose(markers, self.config.labels, replay.path)
-        self._markers, self._unlabelled = markers, markers.unlabelled
+        markers = markers_of_nodes(read(Path(replay.path)).markers, self.config, replay.path)
+        # what was chosen by its label is a node, whatever the mocap system called it
+        self._unlabelled = markers.unlabelled & (not self.config.labels)
+        self._markers = markers
         self._rng = np.random.default_rng(replay.seed)
         seconds = (markers.stamps - markers.stamps[0]) / 1e9
         self._first = int(np.searchsorted(seconds, replay.start))
@@ -49,13 +50,14 @@ class MocapReplayNode(ConfiguredNode):
         self._next = self._first
         self._publisher = self.publisher(PointCloud2, 'markers')
         self._clock_publisher = self.create_publisher(Clock, '/clock', 10)
-        self._diagnostics = Diagnostics(self, self._values)
+        self._diagnostics = Diagnostics(self, self._values, now=self._replayed)
         self.create_service(SetBool, 'pause', self._on_pause)
         self.finished = False
         self._origin: float | None = None
         self._paused_at: float | None = None
         self._ends_at: float | None = None
         self._give_up = time.monotonic() + replay.timeout
+        self.get_logger().info(f'waiting for {replay.subscribers} subscribers of markers')
         self._timer = self.create_timer(POLL, self._on_timer, clock=STEADY)
 
     def _on_timer(self) -> None:
@@ -125,6 +127,9 @@ class MocapReplayNode(ConfiguredNode):
         # a period of zero would starve the executor
         self._timer.timer_period_ns = max(int(seconds * 1e9), 100_000)
         self._timer.reset()
+
+    def _replayed(self) -> Time:
+        return to_time(int(self._markers.stamps[max(self._next - 1, self._first)]))
 
     def _values(self) -> dict[str, object]:
         return {'next_frame': f'{self._next} of {len(self._markers)}'}
