@@ -39,8 +39,10 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def _warn(message: Warning | str, *_: object, **__: object) -> None:
-    print(f'cloth-predict: warning: {message}', file=sys.stderr)
+def _warn(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+    """Print our own warnings as one line; those of libraries are not the user's business."""
+    if issubclass(category, UserWarning):
+        print(f'cloth-predict: warning: {message}', file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
