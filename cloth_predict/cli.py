@@ -16,7 +16,7 @@ from tqdm import tqdm
 from cloth_predict import __version__
 from cloth_predict import commands as run
 from cloth_predict.config import Config
-from cloth_predict.errors import ClothPredictError
+from cloth_predict.errors import ClothPredictError, ClothPredictWarning
 from cloth_predict.share import find
 from cloth_predict.simulate import SCENARIOS
 
@@ -41,7 +41,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _warn(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
     """Print our own warnings as one line; those of libraries are not the user's business."""
-    if issubclass(category, UserWarning):
+    if issubclass(category, ClothPredictWarning):
         print(f'cloth-predict: warning: {message}', file=sys.stderr)
 
 

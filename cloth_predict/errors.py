@@ -10,6 +10,10 @@ class ClothPredictError(ValueError):
         super().__init__(' '.join(message.splitlines()))
 
 
+class ClothPredictWarning(UserWarning):
+    """Something that a user should know of and that stops nothing."""
+
+
 class ConfigError(ClothPredictError):
     """A configuration that cannot be used: names the file and the parameter."""
 

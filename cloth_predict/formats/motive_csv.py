@@ -22,7 +22,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from cloth_predict.errors import FormatError
+from cloth_predict.errors import ClothPredictWarning, FormatError
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
 Rows: TypeAlias = Iterator[tuple[int, list[str]]]
@@ -212,7 +212,7 @@ def _check_end(path: Path, frames: FloatArray, announced: float, cut: int) -> No
     if cut and len(frames) < announced:
         raise FormatError(f'{text} and line {cut} has no end: file truncated?')
     if max(len(frames), frames[-1] + 1) < announced:
-        warnings.warn(text, stacklevel=3)
+        warnings.warn(text, ClothPredictWarning, stacklevel=3)
 
 
 def _stamps(path: Path, lines: IntArray, table: FloatArray, rate: float) -> IntArray:
