@@ -246,6 +246,15 @@ def nest(flat: dict[str, Any]) -> dict[str, Any]:
     return tree
 
 
+def flatten(tree: dict[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Turn nested mappings into ROS' dotted names; the reverse of `nest`."""
+    found: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f'{prefix}{key}'
+        found |= flatten(value, f'{name}.') if isinstance(value, dict) else {name: value}
+    return found
+
+
 def _build(kind: type, values: Any, source: str, prefix: str) -> Any:
     if not isinstance(values, dict):
         raise ConfigError(f'{source}: {prefix.rstrip(".") or "parameters"}: expected a mapping')

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from cloth_predict.config import Config, build, dump, load, nest, parse_yaml
+from cloth_predict.config import Config, build, dump, flatten, load, nest, parse_yaml
 from cloth_predict.errors import ConfigError
 
 ROOT = Path(__file__).parents[1]
@@ -183,6 +183,8 @@ def test_nest() -> None:
     assert nest(flat) == {'a': 1, 'b': {'c': 2, 'd': {'e': [3], 'f': 4}}, 'g': {'h': None}}
     assert flat == {'a': 1, 'b.c': 2, 'b.d.e': [3], 'b.d.f': 4, 'g.h': None}
     assert nest({}) == {}
+    assert flatten(nest(flat)) == flat
+    assert flatten({}) == {}
 
 
 def test_nested_names_build_what_a_file_builds() -> None:

@@ -28,8 +28,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from threadpoolctl import threadpool_limits
 
-from cloth_predict.config import Config, build, nest, parse_yaml
-from cloth_predict.errors import ClothPredictError
+from cloth_predict.config import Config, build, flatten, nest, parse_yaml
+from cloth_predict.errors import ClothPredictError, FrameError
 from cloth_predict.formats.pointcloud import fields_of
 
 SENSOR_QOS = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -59,6 +59,11 @@ class ConfiguredNode(Node):
             raise
         self.add_on_set_parameters_callback(_refuse)
 
+    def check_frame(self, header: Header) -> None:
+        """Raise FrameError where a message is not in the configured frame."""
+        if header.frame_id != self.config.frame:
+            raise FrameError(f'frame_id {header.frame_id!r}, expected {self.config.frame!r}')
+
     def publisher(self, kind: type, topic: str) -> Any:
         """Sensor-data publisher whose quality of service can be overridden by parameters."""
         qos = copy.copy(SENSOR_QOS)  # an override writes into the profile
@@ -81,21 +86,13 @@ def _hidden(arguments: list[str], node: str, flat: dict[str, Any]) -> dict[str, 
         if flag == '--params-file':
             document = parse_yaml(Path(value).read_text(encoding='utf-8')) or {}
             for name in ('/**', node, f'/{node}'):
-                given |= _flat((document.get(name) or {}).get('ros__parameters') or {})
+                given |= flatten((document.get(name) or {}).get('ros__parameters') or {})
         elif flag in ('-p', '--param') and ':=' in value:
             name, _, text = value.partition(':=')
             target, _, name = name.rpartition(':')
             if target in ('', node):
                 given[name] = parse_yaml(text)
     return {k: v for k, v in given.items() if k in flat and not _same(v, flat[k])}
-
-
-def _flat(tree: dict[str, Any], prefix: str = '') -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for key, value in tree.items():
-        inner = isinstance(value, dict)
-        found |= _flat(value, f'{prefix}{key}.') if inner else {f'{prefix}{key}': value}
-    return found
 
 
 def _same(given: Any, shown: Any) -> bool:

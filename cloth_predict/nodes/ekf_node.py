@@ -37,10 +37,7 @@ class EkfNode(ConfiguredNode):
     def _on_markers(self, message: PointCloud2) -> None:
         begin = time.perf_counter()
         try:
-            if message.header.frame_id != self.config.frame:
-                raise FrameError(
-                    f'frame_id {message.header.frame_id!r}, expected {self.config.frame!r}'
-                )
+            self.check_frame(message.header)
             positions, visible, unlabelled = decode_markers(message, self._tracker.nodes)
             step = self._tracker.step(nanoseconds(message.header.stamp), positions, visible)
         except FrameError as error:

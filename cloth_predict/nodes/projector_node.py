@@ -36,10 +36,7 @@ class ProjectorNode(ConfiguredNode):
     def _on_prediction(self, message: PointCloud2) -> None:
         begin = time.perf_counter()
         try:
-            if message.header.frame_id != self.config.frame:
-                raise FrameError(
-                    f'frame_id {message.header.frame_id!r}, expected {self.config.frame!r}'
-                )
+            self.check_frame(message.header)
             points = decode(message, ('x', 'y', 'z', 'vx', 'vy', 'vz'))
             if points.shape != self._shape:
                 raise FrameError(f'a surface of {points.shape} nodes, expected {self._shape}')
