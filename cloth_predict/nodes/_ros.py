@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import array
 import copy
+import os
 import sys
+import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -41,6 +43,8 @@ blocks a publisher while a new subscriber is being discovered."""
 
 OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
+SHUTDOWN_LIMIT = 5.0
+"""Seconds that a node may take to leave, after which its process ends all the same."""
 STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
@@ -131,6 +135,10 @@ def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> in
         if rclpy.ok():  # else a signal took the context away in the middle of a call
             raise
     finally:
+        # once in some hundred stops the middleware did not come back from its shutdown
+        last_resort = threading.Timer(SHUTDOWN_LIMIT, os._exit, (0,))
+        last_resort.daemon = True
+        last_resort.start()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
@@ -153,7 +161,7 @@ def spin(node: Node, going: Callable[[], bool]) -> None:
         while node.context.ok() and going():
             executor.spin_once(timeout_sec=0.05)
     finally:
-        executor.shutdown()
+        executor.shutdown(timeout_sec=1.0)
 
 
 def nanoseconds(stamp: Time) -> int:
