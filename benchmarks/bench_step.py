@@ -48,24 +48,24 @@ def main() -> None:
         median, p99 = timed(frame, range(100, 700))
         reference = filterpy_frame(tracker)
         ratio, _ = timed(reference, range(40))
-        states = tracker._model.dim_x
+        states = tracker._started().model.dim_x
         print(f'{states:7d} {median:23.2f} {p99:7.2f} {ratio / median:14.1f}')
 
 
 def filterpy_frame(tracker: Tracker) -> Callable[[int], None]:
     """The same update and five steps of prediction by filterpy, with our Jacobian of the step."""
-    model, belief = tracker._model, tracker._belief
-    assert belief is not None
-    u, dt = tracker._input(0.0), tracker.config.filter.predict_step
-    rows = 3 * len(tracker._mesh.free)
+    now = tracker._started()
+    model, belief, held = now.model, now.belief, now.driven.extrapolate(0.0)
+    u, dt = now.mesh.input(held[0], held[1]), tracker.config.filter.predict_step
+    rows = 3 * len(now.mesh.free)
     selection = np.eye(rows, model.dim_x)
     kalman = Reference(model.dim_x, rows)
-    kalman.Q, kalman.R = np.diag(tracker._noise * dt), 1e-7 * np.eye(rows)
+    kalman.Q, kalman.R = np.diag(now.noise * dt), 1e-7 * np.eye(rows)
 
     def frame(_: int) -> None:
         kalman.x, kalman.P = belief.mean.copy(), belief.cov.copy()
         for step in range(6):
-            kalman.x, kalman.F = tracker._filter.integrator.step_jac(model, kalman.x, u, dt)
+            kalman.x, kalman.F = now.filter.integrator.step_jac(model, kalman.x, u, dt)
             kalman.P = kalman.F @ kalman.P @ kalman.F.T + kalman.Q
             if step == 0:
                 z = belief.mean[:rows]

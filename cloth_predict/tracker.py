@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 
-from cloth_predict.assembly import (
-    build_mass_spring,
-    complete,
-    disturbed,
-    first_belief,
-    process_noise,
-)
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
-from cloth_predict.filters.ekf import ExtendedKalmanFilter
-from cloth_predict.filters.kinematic import KinematicTrack
-from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.types import BoolArray, FloatArray, Gaussian, Innovation, IntArray, Surface
+from cloth_predict.starting import Start, start
+from cloth_predict.types import BoolArray, FloatArray, Innovation, IntArray, Surface
 
 NANOSECONDS = 1e9
 FARTHEST = 1e4
 """Coordinate [m] from which on a marker is taken for a fault: no volume is that large."""
-FEWEST_TO_START = 3
-"""Visible nodes without which the first surface would be a guess."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +36,12 @@ class Tracker:
         self.nodes = config.model.rows * config.model.cols
         self.counts: Counter[str] = Counter()
         self._stamp: int | None = None
-        self._belief: Gaussian | None = None
-        self._filter = ExtendedKalmanFilter(INTEGRATORS[config.filter.integrator])
+        self._now: Start | None = None
 
     @property
     def started(self) -> bool:
         """Whether there is a surface to predict."""
-        return self._belief is not None
+        return self._now is not None
 
     def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> Step:
         """Take a frame: stamp [ns], positions [m], shape (nodes, 3), visible, shape (nodes,).
@@ -67,26 +55,26 @@ class Tracker:
 
     def estimate(self) -> Surface:
         """Return the surface at the last frame."""
-        belief, rows = self._started_belief(), self._position_rows()
-        return self._surface(belief.mean, np.diagonal(belief.cov)[rows], 0.0)
+        now = self._started()
+        return self._surface(now.belief.mean, now.belief.marginals(_rows(now)), 0.0)
 
     def predict(self, horizon: float) -> Surface:
         """Return the surface `horizon` [s] after the last frame, by running the model there.
 
         Raises FrameError where there is no surface yet, or none that is finite.
         """
-        belief = self._started_belief()
+        now = self._started()
         steps, dt = split(horizon, self.config.filter.predict_step)
-        inputs = [self._input(k * dt, dt) for k in range(steps)]
+        inputs = _inputs(now, 0.0, steps, dt)
         try:
-            mean, variance = self._filter.forecast(
-                belief, self._model, inputs, self._noise, dt, self._position_rows()
+            mean, cov = now.filter.forecast(
+                now.belief, now.model, inputs, now.noise, dt, _rows(now)
             )
         except FloatingPointError as error:
             raise FrameError(f'the prediction fails: {error}') from None
-        if not (np.isfinite(mean).all() and np.isfinite(variance).all()):
+        if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
             raise FrameError('the prediction is not finite: the model is too stiff for the step')
-        return self._surface(mean, variance, horizon)
+        return self._surface(mean, cov, horizon)
 
     def _check(self, positions: FloatArray, visible: BoolArray) -> None:
         if positions.shape != (self.nodes, 3) or visible.shape != (self.nodes,):
@@ -102,7 +90,7 @@ class Tracker:
             )
 
     def _advance(self, stamp: int, positions: FloatArray, visible: BoolArray) -> Step:
-        if self._stamp is None or self._belief is None:
+        if self._stamp is None or self._now is None:
             return self._start(stamp, positions, visible, 'started')
         dt = (stamp - self._stamp) / NANOSECONDS
         if dt > self.config.filter.max_gap or dt < -self.config.filter.max_backstep:
@@ -118,79 +106,61 @@ class Tracker:
         return Step('updated', innovation)
 
     def _start(self, stamp: int, positions: FloatArray, visible: BoolArray, outcome: str) -> Step:
-        self._stamp = self._belief = None
-        config, driven = self.config, list(self.config.anchors.nodes)
-        if visible.sum() < min(FEWEST_TO_START, self.nodes) or not visible[driven].all():
-            return Step('waiting')
-        filled, spread = complete(config.model, positions, visible)
-        self._mesh = build_mass_spring(config, filled)
-        self._model = disturbed(config, self._mesh)
-        self._noise = process_noise(config, self._mesh)
-        self._tracks = [
-            KinematicTrack(
-                config.anchors.motion,
-                config.anchors.process_noise,
-                config.filter.measurement_noise,
-                filled[node],
-                config.filter.initial_velocity,
-            )
-            for node in self._mesh.driven
-        ]
-        self._belief = first_belief(config, self._mesh, filled, spread)
-        self._stamp = stamp
-        return Step(outcome)
+        self._now = start(self.config, positions, visible)
+        self._stamp = stamp if self._now else None
+        return Step(outcome if self._now else 'waiting')
 
     def _update(self, positions: FloatArray, visible: BoolArray, dt: float) -> Innovation:
-        belief = self._started_belief()
-        for node, track in zip(self._mesh.driven, self._tracks, strict=True):
-            track.predict(dt)
-            if visible[node]:
-                track.update(positions[node])
+        now = self._started()
+        driven, belief = now.driven.copy(), now.belief
+        driven.advance(dt)
+        driven.update(positions, visible)
+        now = replace(now, driven=driven)
         steps, part = split(dt, self.config.filter.max_step)
-        for k in range(steps):
-            u = self._input(k * part - dt, part)
-            belief = self._filter.predict(belief, self._model, u, self._noise, part)
-        seen = np.flatnonzero(visible[self._mesh.free])
+        for u in _inputs(now, -dt, steps, part):
+            belief = now.filter.predict(belief, now.model, u, now.noise, part)
+        seen = np.flatnonzero(visible[now.mesh.free])
         obs = VisiblePositions.of_nodes(seen, self.config.filter.measurement_noise)
-        z = positions[self._mesh.free[seen]].ravel()
-        belief, innovation = self._filter.update(belief, obs, z)
+        z = positions[now.mesh.free[seen]].ravel()
+        belief, innovation = now.filter.update(belief, obs, z)
         if not np.isfinite(belief.mean).all():
             raise FloatingPointError('the estimate is not finite')
-        self._belief = belief
+        self._now = replace(now, belief=belief)
         return innovation
 
-    def _input(self, ahead: float, dt: float = 0.0) -> FloatArray:
-        """Input at `ahead` [s] after the last frame, with the mean velocities over dt [s] then."""
-        if not self._tracks:
-            return self._mesh.input()
-        now = np.array([track.extrapolate(ahead) for track in self._tracks])
-        if not dt:
-            return self._mesh.input(now[:, 0], now[:, 1])
-        then = np.array([track.extrapolate(ahead + dt)[0] for track in self._tracks])
-        return self._mesh.input(now[:, 0], (then - now[:, 0]) / dt)
-
-    def _started_belief(self) -> Gaussian:
-        if self._belief is None:
+    def _started(self) -> Start:
+        if self._now is None:
             raise FrameError('no surface yet: not enough markers have been seen')
-        return self._belief
+        return self._now
 
-    def _position_rows(self) -> IntArray:
-        return np.arange(3 * len(self._mesh.free))
-
-    def _surface(self, mean: FloatArray, variance: FloatArray, ahead: float) -> Surface:
-        mesh, u = self._mesh, self._input(ahead)
-        size = 3 * len(mesh.free)
+    def _surface(self, mean: FloatArray, cov: FloatArray, ahead: float) -> Surface:
+        now = self._started()
+        mesh, size = now.mesh, 3 * len(now.mesh.free)
+        driven = now.driven.extrapolate(ahead)
+        u = mesh.input(driven[0], driven[1])
         position, velocity = mesh.surface(mean, u)
-        acceleration, sigma = np.zeros((self.nodes, 3)), np.zeros(self.nodes)
-        acceleration[mesh.free] = self._model.f(mean, u)[size : 2 * size].reshape(-1, 3)
-        sigma[mesh.free] = np.sqrt(np.maximum(variance.reshape(-1, 3).mean(axis=1), 0.0))
-        for node, track in zip(mesh.driven, self._tracks, strict=True):
-            acceleration[node] = track.extrapolate(ahead)[2]
-            sigma[node] = track.variance(ahead) ** 0.5
+        acceleration, covariance = np.zeros((self.nodes, 3)), np.zeros((self.nodes, 3, 3))
+        acceleration[mesh.free] = now.model.f(mean, u)[size : 2 * size].reshape(-1, 3)
+        acceleration[mesh.driven] = driven[2]
+        covariance[mesh.free] = cov
+        covariance[mesh.driven] = now.driven.variances(ahead)[:, None, None] * np.eye(3)
         assert self._stamp is not None
         return Surface(
-            self._stamp + round(ahead * NANOSECONDS), position, velocity, acceleration, sigma
+            self._stamp + round(ahead * NANOSECONDS), position, velocity, acceleration, covariance
         )
+
+
+def _rows(now: Start) -> IntArray:
+    """Position rows of the state by free node, shape (free, 3)."""
+    return np.arange(3 * len(now.mesh.free)).reshape(-1, 3)
+
+
+def _inputs(now: Start, begin: float, steps: int, dt: float) -> list[FloatArray]:
+    """Input of each of `steps` steps of dt [s], the first `begin` [s] after the last frame."""
+    if not steps:
+        return []
+    path = now.driven.path([begin + k * dt for k in range(steps + 1)])
+    return [now.mesh.input(position, velocity) for position, velocity in path]
 
 
 def split(duration: float, longest: float) -> tuple[int, float]:

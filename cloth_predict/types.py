@@ -6,9 +6,9 @@ time is integer nanoseconds until the one place that makes a ``dt`` of it (`trac
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,17 @@ def read_only(array: NDArray[np.generic]) -> NDArray[np.generic]:
     return view
 
 
+class Belief(Protocol):
+    """What a filter carries from one frame to the next; never changed once made."""
+
+    @property
+    def mean(self) -> FloatArray:
+        """Expected state, shape (dim_x,)."""
+
+    def marginals(self, rows: IntArray) -> FloatArray:
+        """Covariances of k groups of m states each, rows of shape (k, m), shape (k, m, m)."""
+
+
 @dataclass(frozen=True)
 class Gaussian:
     """A belief: mean, shape (dim_x,), and covariance, shape (dim_x, dim_x); both read-only."""
@@ -39,6 +50,10 @@ class Gaussian:
     def __post_init__(self) -> None:
         object.__setattr__(self, 'mean', read_only(self.mean))
         object.__setattr__(self, 'cov', read_only(self.cov))
+
+    def marginals(self, rows: IntArray) -> FloatArray:
+        """Covariances of k groups of m states each, rows of shape (k, m), shape (k, m, m)."""
+        return np.asarray(self.cov[rows[:, :, None], rows[:, None, :]])
 
 
 @dataclass(frozen=True)
@@ -108,14 +123,20 @@ class Surface:
     """All nodes at one time.
 
     stamp [ns]; position [m], velocity [m/s], acceleration [m/s^2], each (nodes, 3);
-    sigma [m], shape (nodes,): standard deviation of a coordinate of the position.
+    covariance [m^2] of the position of each node, shape (nodes, 3, 3).
     """
 
     stamp: int
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
-    sigma: FloatArray
+    covariance: FloatArray
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviation of a coordinate of the position [m], shape (nodes,)."""
+        variance = np.trace(self.covariance, axis1=1, axis2=2) / 3.0
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 def is_unlabelled(label: str) -> bool:
@@ -219,15 +240,31 @@ class Observation(Protocol):
         """Derivative of h, shape (m, dim_x); or, as integers of shape (m,), the rows of x seen."""
 
 
-class Filter(Protocol):
-    """A recursive estimator; holds no state of its own."""
+B = TypeVar('B', bound=Belief)
 
-    def predict(
-        self, belief: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray, dt: float
-    ) -> Gaussian:
+
+class Filter(Protocol[B]):
+    """A recursive estimator; holds no state of its own: all that it remembers is in the belief."""
+
+    def start(self, prior: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray) -> B:
+        """Belief before the first measurement, from a mean and a diagonal covariance."""
+
+    def predict(self, belief: B, model: Dynamics, u: FloatArray, q: FloatArray, dt: float) -> B:
         """Belief dt [s] later; q, shape (dim_x,), is the spectral density of the process noise."""
 
-    def update(
-        self, belief: Gaussian, obs: Observation, z: FloatArray
-    ) -> tuple[Gaussian, Innovation]:
+    def update(self, belief: B, obs: Observation, z: FloatArray) -> tuple[B, Innovation]:
         """Belief given the measurement z, shape (m,), and what was learnt."""
+
+    def forecast(
+        self,
+        belief: B,
+        model: Dynamics,
+        inputs: Sequence[FloatArray],
+        q: FloatArray,
+        dt: float,
+        rows: IntArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean, shape (dim_x,), after one step of dt [s] per input, and covariances, (k, m, m).
+
+        The covariances are those of k groups of m states each, rows of shape (k, m).
+        """

@@ -180,22 +180,25 @@ def test_forecast_equals_a_chain_of_predictions(surface, name):
     kalman, dt = ExtendedKalmanFilter(INTEGRATORS[name]), 0.005
     rng = np.random.default_rng(7)
     inputs = [u + rng.normal(0, 0.01, len(u)) for _ in range(12)]
-    rows = np.array([0, 1, 2, 7, 29, 35, 80])
-    mean, variance = kalman.forecast(belief, model, inputs, q, dt, rows)
+    rows = np.array([[0, 1, 2], [7, 29, 35], [80, 4, 3]])
+    mean, cov = kalman.forecast(belief, model, inputs, q, dt, rows)
     chain = belief
     for step_input in inputs:
         chain = kalman.predict(chain, model, step_input, q, dt)
     np.testing.assert_array_equal(mean, chain.mean)
-    expected = np.diag(chain.cov)[rows]
-    np.testing.assert_allclose(variance, expected, rtol=1e-10)  # products in another order
+    for group, found in zip(rows, cov, strict=True):
+        expected = chain.cov[np.ix_(group, group)]
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        # products in another order
+        np.testing.assert_allclose(found / scale, expected / scale, atol=1e-10)
 
 
 def test_forecast_by_no_step_is_the_belief(surface):
     model, _, q, belief = surface
-    kalman, rows = ExtendedKalmanFilter(ImplicitEuler()), np.array([3, 40])
-    mean, variance = kalman.forecast(belief, model, [], q, 0.01, rows)
+    kalman, rows = ExtendedKalmanFilter(ImplicitEuler()), np.array([[3, 40], [40, 41]])
+    mean, cov = kalman.forecast(belief, model, [], q, 0.01, rows)
     np.testing.assert_array_equal(mean, belief.mean)
-    np.testing.assert_allclose(variance, np.diag(belief.cov)[rows], rtol=1e-15)  # rounding
+    np.testing.assert_allclose(cov, belief.marginals(rows), atol=1e-16)  # rounding
 
 
 # --- statistics

@@ -122,7 +122,8 @@ def test_the_bytes_of_markers_some_of_which_have_no_label() -> None:
 
 def test_the_bytes_of_a_surface() -> None:
     position = np.arange(18.0).reshape(6, 3)
-    surface = Surface(7, position, position + 100, position + 200, np.arange(6.0) / 4)
+    covariance = np.square(np.arange(6.0) / 4)[:, None, None] * np.eye(3)
+    surface = Surface(7, position, position + 100, position + 200, covariance)
     points = encode_surface(surface, 2, 3)
     assert points.shape == (2, 3)
     expected = b''.join(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cloth_predict.filters.linear import condition, propagate
+from cloth_predict.filters.linear import condition, of_groups, propagate
 from cloth_predict.types import (
     Dynamics,
     FloatArray,
@@ -25,6 +25,10 @@ class ExtendedKalmanFilter:
 
     integrator: Integrator
 
+    def start(self, prior: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray) -> Gaussian:
+        """Belief before the first measurement: the prior."""
+        return prior
+
     def predict(
         self, belief: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray, dt: float
     ) -> Gaussian:
@@ -41,7 +45,7 @@ class ExtendedKalmanFilter:
         dt: float,
         rows: IntArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Mean, shape (dim_x,), after one step of dt [s] per input, and the variances of `rows`.
+        """Mean, shape (dim_x,), and covariances of `rows` after one step of dt [s] per input.
 
         The same as as many calls of `predict`, but the rows W are pulled back through the steps
         (W <- W F) instead of the whole covariance being pushed forward.
@@ -50,13 +54,13 @@ class ExtendedKalmanFilter:
         for u in inputs:
             mean, tangent = self.integrator.step_tangent(model, mean, u, dt)
             tangents.append(tangent)
-        pulled, half = np.eye(len(mean))[rows], 0.5 * dt * q
-        variance = np.zeros(len(rows))
+        pulled, half = np.eye(len(mean))[rows.ravel()], 0.5 * dt * q
+        cov = np.zeros((*rows.shape, rows.shape[1]))
         for tangent in reversed(tangents):
-            variance += pulled**2 @ half
+            cov += of_groups(pulled, pulled * half, rows)
             pulled = tangent.pull(pulled)
-            variance += pulled**2 @ half
-        return mean, variance + np.einsum('ij,ij->i', pulled @ belief.cov, pulled)
+            cov += of_groups(pulled, pulled * half, rows)
+        return mean, cov + of_groups(pulled, pulled @ belief.cov, rows)
 
     def update(
         self, belief: Gaussian, obs: Observation, z: FloatArray

@@ -6,6 +6,7 @@ filter whose state has a column for each coordinate does all three.
 
 from __future__ import annotations
 
+import copy
 from math import factorial
 
 import numpy as np
@@ -55,6 +56,12 @@ class KinematicTrack:
         self._filter.P = np.diag([sigma**2] + [spread**2] * (self.order - 1))
         self._filter.R = np.array([[sigma**2]])
         self._observed = np.eye(1, self.order)
+
+    def copy(self) -> KinematicTrack:
+        """Return a copy that can be moved on by itself."""
+        other = copy.copy(self)
+        other._filter = copy.copy(self._filter)  # its arrays are replaced, never written to
+        return other
 
     def predict(self, dt: float) -> None:
         """Move on by dt [s]."""

@@ -50,6 +50,12 @@ def condition(
     return Gaussian(mean, cov), Innovation(residual, innovation_cov, nis)
 
 
+def of_groups(left: FloatArray, right: FloatArray, rows: IntArray) -> FloatArray:
+    """Products L R' within k groups of m rows, both of shape (k m, dim_x), shape (k, m, m)."""
+    groups = (*rows.shape, -1)
+    return np.asarray(left.reshape(groups) @ right.reshape(groups).transpose(0, 2, 1))
+
+
 def symmetric(matrix: FloatArray) -> FloatArray:
     """Symmetric part of a matrix that is symmetric but for rounding."""
     return 0.5 * (matrix + matrix.T)

@@ -1,0 +1,66 @@
+"""The driven nodes: what moves them is not modelled, so each has a kinematic filter of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cloth_predict.config import Config
+from cloth_predict.filters.kinematic import KinematicTrack
+from cloth_predict.types import BoolArray, FloatArray, IntArray
+
+
+class DrivenNodes:
+    """Follows the driven nodes and extrapolates them; `nodes`, shape (driven,), are their indices.
+
+    What is extrapolated has shape (driven, 3), in the order of `nodes`.
+    """
+
+    def __init__(self, config: Config, nodes: IntArray, surface: FloatArray) -> None:
+        """Start at `surface` [m], shape (nodes, 3)."""
+        self.nodes = nodes
+        self._tracks = [
+            KinematicTrack(
+                config.anchors.motion,
+                config.anchors.process_noise,
+                config.filter.measurement_noise,
+                surface[node],
+                config.filter.initial_velocity,
+            )
+            for node in nodes
+        ]
+
+    def copy(self) -> DrivenNodes:
+        """Return a copy that can be moved on by itself."""
+        other = object.__new__(DrivenNodes)
+        other.nodes, other._tracks = self.nodes, [track.copy() for track in self._tracks]
+        return other
+
+    def advance(self, dt: float) -> None:
+        """Move on by dt [s]."""
+        for track in self._tracks:
+            track.predict(dt)
+
+    def update(self, positions: FloatArray, visible: BoolArray) -> None:
+        """Take the measured positions [m], shape (nodes, 3), of the visible ones, (nodes,)."""
+        for node, track in zip(self.nodes, self._tracks, strict=True):
+            if visible[node]:
+                track.update(positions[node])
+
+    def extrapolate(self, ahead: float) -> FloatArray:
+        """Positions [m], velocities and accelerations after `ahead` [s], shape (3, driven, 3)."""
+        if not self._tracks:
+            return np.zeros((3, 0, 3))
+        return np.stack([track.extrapolate(ahead) for track in self._tracks], axis=1)
+
+    def path(self, times: Sequence[float]) -> list[tuple[FloatArray, FloatArray]]:
+        """Position [m] at the start of each interval between `times` [s], and mean velocity."""
+        at = [self.extrapolate(time)[0] for time in times]
+        return [
+            (at[k], (at[k + 1] - at[k]) / (times[k + 1] - times[k])) for k in range(len(at) - 1)
+        ]
+
+    def variances(self, ahead: float) -> FloatArray:
+        """Variance [m^2] of a coordinate of the positions after `ahead` [s], shape (driven,)."""
+        return np.array([track.variance(ahead) for track in self._tracks])
