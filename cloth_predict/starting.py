@@ -35,16 +35,28 @@ class Start:
     belief: Belief
 
 
-def start(config: Config, positions: FloatArray, visible: BoolArray) -> Start | None:
-    """Start at rest at positions [m], shape (nodes, 3), or None where too few are visible."""
-    driven = list(config.anchors.nodes)
-    if visible.sum() < min(FEWEST_TO_START, len(visible)) or not visible[driven].all():
-        return None
-    surface, spread = complete(config.model, positions, visible)
-    mesh = build_mass_spring(config, surface)
-    model, noise = disturbed(config, mesh), process_noise(config, mesh)
-    nodes = DrivenNodes(config, mesh.driven, surface)
-    chosen = build_filter(config, mesh)
-    prior, held = first_belief(config, mesh, surface, spread), nodes.extrapolate(0.0)
-    belief = chosen.start(prior, model, mesh.input(held[0], held[1]), noise)
-    return Start(mesh, model, noise, chosen, nodes, belief)
+class Starter:
+    """Takes frames until there is enough to start from."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+
+    def offer(
+        self, stamp: int, positions: FloatArray, visible: BoolArray, points: FloatArray
+    ) -> Start | None:
+        """Start at rest at this frame, or None where it takes more.
+
+        stamp [ns]; positions [m], shape (nodes, 3), and visible, shape (nodes,), of the labelled
+        markers; points [m], shape (m, 3), of those without a label.
+        """
+        config, driven = self._config, list(self._config.anchors.nodes)
+        if visible.sum() < min(FEWEST_TO_START, len(visible)) or not visible[driven].all():
+            return None
+        surface, spread = complete(config.model, positions, visible)
+        mesh = build_mass_spring(config, surface)
+        model, noise = disturbed(config, mesh), process_noise(config, mesh)
+        nodes = DrivenNodes(config, mesh.driven, surface)
+        chosen = build_filter(config, mesh)
+        prior, held = first_belief(config, mesh, surface, spread), nodes.extrapolate(0.0)
+        belief = chosen.start(prior, model, mesh.input(held[0], held[1]), noise)
+        return Start(mesh, model, noise, chosen, nodes, belief)

@@ -11,12 +11,15 @@ import numpy as np
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.starting import Start, start
+from cloth_predict.starting import Start, Starter
 from cloth_predict.types import BoolArray, FloatArray, Innovation, IntArray, Surface
 
 NANOSECONDS = 1e9
 FARTHEST = 1e4
 """Coordinate [m] from which on a marker is taken for a fault: no volume is that large."""
+
+
+NO_POINTS = np.zeros((0, 3))
 
 
 @dataclass(frozen=True)
@@ -43,13 +46,20 @@ class Tracker:
         """Whether there is a surface to predict."""
         return self._now is not None
 
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> Step:
+    def step(
+        self,
+        stamp: int,
+        positions: FloatArray,
+        visible: BoolArray,
+        points: FloatArray = NO_POINTS,
+    ) -> Step:
         """Take a frame: stamp [ns], positions [m], shape (nodes, 3), visible, shape (nodes,).
 
+        points [m], shape (m, 3): markers without a label.
         Raises FrameError, and changes nothing, where the frame does not fit the model.
         """
         self._check(positions, visible)
-        step = self._advance(stamp, positions, visible)
+        step = self._advance(stamp, positions, visible, points)
         self.counts[step.outcome] += 1
         return step
 
@@ -89,24 +99,33 @@ class Tracker:
                 f'{FARTHEST:g} m'
             )
 
-    def _advance(self, stamp: int, positions: FloatArray, visible: BoolArray) -> Step:
+    def _advance(
+        self, stamp: int, positions: FloatArray, visible: BoolArray, points: FloatArray
+    ) -> Step:
         if self._stamp is None or self._now is None:
-            return self._start(stamp, positions, visible, 'started')
+            return self._start(stamp, positions, visible, points, 'started')
         dt = (stamp - self._stamp) / NANOSECONDS
         if dt > self.config.filter.max_gap or dt < -self.config.filter.max_backstep:
-            return self._start(stamp, positions, visible, 'restarted')
+            return self._start(stamp, positions, visible, points, 'restarted')
         if dt <= 0:
             return Step('late')
         try:
             innovation = self._update(positions, visible, dt)
         except FloatingPointError:
             self.counts['diverged'] += 1
-            return self._start(stamp, positions, visible, 'restarted')
+            return self._start(stamp, positions, visible, points, 'restarted')
         self._stamp = stamp
         return Step('updated', innovation)
 
-    def _start(self, stamp: int, positions: FloatArray, visible: BoolArray, outcome: str) -> Step:
-        self._now = start(self.config, positions, visible)
+    def _start(
+        self,
+        stamp: int,
+        positions: FloatArray,
+        visible: BoolArray,
+        points: FloatArray,
+        outcome: str,
+    ) -> Step:
+        self._now = Starter(self.config).offer(stamp, positions, visible, points)
         self._stamp = stamp if self._now else None
         return Step(outcome if self._now else 'waiting')
 
