@@ -22,6 +22,9 @@ from ruamel.yaml.error import YAMLError
 from cloth_predict.errors import ConfigError
 
 
+FEWEST_NODES = {'edges': 2, 'delaunay': 3}
+
+
 def param(
     default: Any,
     doc: str,
@@ -50,14 +53,29 @@ class ModelConfig:
     """The mass-spring-damper surface."""
 
     kind: str = param('mass_spring', 'model of the surface', choices=('mass_spring',))
-    rows: int = param(5, 'rows of nodes; a chain has 1', low=1)
-    cols: int = param(4, 'columns of nodes', low=1)
+    topology: str = param(
+        'grid',
+        'which nodes are joined: rows and columns, listed edges, or a triangulation at the start',
+        choices=('grid', 'edges', 'delaunay'),
+    )
+    rows: int = param(5, 'rows of nodes of a grid; a chain has 1', low=1)
+    cols: int = param(4, 'columns of nodes of a grid', low=1)
+    nodes: int = param(
+        0, 'number of nodes of `edges` and `delaunay`; that of `labels` when left out', low=0
+    )
+    edges: tuple[int, ...] = param(
+        (), 'pairs of joined nodes of `edges`, one after the other: 0, 1, 1, 2, ...', low=0
+    )
     width: float = param(0.51, 'from the first to the last column at rest', 'm', above=0)
     height: float = param(0.80, 'from the first to the last row at rest', 'm', above=0)
     rest_length: str = param(
         'dimensions',
-        'rest lengths from width and height, or from the distances measured at the start',
-        choices=('dimensions', 'measured'),
+        'rest lengths from width and height, from the distances measured in the first frame, or '
+        'from their median over `calibration`',
+        choices=('dimensions', 'measured', 'calibrated'),
+    )
+    calibration: float = param(
+        2.0, 'time before the start over which `calibrated` measures', 's', above=0
     )
     mass: float = param(
         0.34, 'mass of the whole surface, shared evenly by the nodes', 'kg', above=0
@@ -72,6 +90,28 @@ class ModelConfig:
     gravity: tuple[float, ...] = param(
         (0.0, -9.81, 0.0), 'gravity in the mocap frame', 'm/s^2', length=3
     )
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return self.rows * self.cols if self.topology == 'grid' else self.nodes
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a published surface: (1, nodes) where there are none."""
+        return (self.rows, self.cols) if self.topology == 'grid' else (1, self.nodes)
+
+    @property
+    def name(self) -> str:
+        """The size in words, for errors."""
+        if self.topology == 'grid':
+            return f'{self.rows} x {self.cols} = {self.count} nodes'
+        return f'{self.count} nodes'
+
+    @property
+    def counted_by(self) -> str:
+        """The parameters that give the number of nodes."""
+        return 'model.rows x model.cols' if self.topology == 'grid' else 'model.nodes'
 
 
 @dataclass(frozen=True)
@@ -187,6 +227,20 @@ class ProjectorConfig:
     translation: tuple[float, ...] = param(
         (-0.255, 1.1, 2.2), 'translation from the mocap frame to the projector', 'm', length=3
     )
+    delay: float = param(
+        0.02,
+        'from the arrival of a prediction to the first row of the frame drawn from it',
+        's',
+        low=0,
+        high=1,
+    )
+
+
+@dataclass(frozen=True)
+class LiveCheckConfig:
+    """The check of the published predictions against the markers that arrive later."""
+
+    window: float = param(10.0, 'time over which errors are summed up', 's', low=1, high=600)
 
 
 @dataclass(frozen=True)
@@ -194,6 +248,15 @@ class Config:
     """Everything: one file serves all nodes and the command line."""
 
     horizon: float = param(0.1, 'how far ahead to predict (Ts)', 's', low=0, high=10)
+    horizons: tuple[float, ...] = param(
+        (), 'further horizons, each published on a topic of its own', 's', low=0.001, high=10
+    )
+    horizon_mode: str = param(
+        'fixed',
+        'auto: `horizon` only at the start, then the measured delay from capture to publication '
+        'plus `projector.delay`',
+        choices=('fixed', 'auto'),
+    )
     frame: str = param('mocap', 'frame_id of the markers')
     labels: tuple[str, ...] = param(
         (), 'labels of the markers to use, in node order; all of the recording when left out'
@@ -205,11 +268,21 @@ class Config:
     baseline: BaselineConfig = BaselineConfig()
     replay: ReplayConfig = ReplayConfig()
     projector: ProjectorConfig = ProjectorConfig()
+    live_check: LiveCheckConfig = LiveCheckConfig()
+
+    @property
+    def every_horizon(self) -> tuple[float, ...]:
+        """What is predicted [s]: `horizon`, which the projector uses, then the further ones."""
+        return (self.horizon, *(further for further in self.horizons if further != self.horizon))
 
 
 def build(values: dict[str, Any], source: str) -> Config:
     """Build the configuration from nested mappings; `source` names their origin in errors."""
     config = typing.cast('Config', _build(Config, values, source, ''))
+    if config.model.topology != 'grid' and not config.model.nodes:
+        model = dataclasses.replace(config.model, nodes=len(config.labels))
+        config = dataclasses.replace(config, model=model)
+    _check_model(config.model, f'{source}: model')
     _check_together(config, source)
     return config
 
@@ -311,20 +384,64 @@ def _check_range(number: Any, limits: typing.Mapping[str, Any], name: str) -> No
             raise ConfigError(f'{name}: {number} is out of range, must be {words}')
 
 
+def _check_model(model: ModelConfig, source: str) -> None:
+    """Check that the parameters of the topology fit each other."""
+    for name, given, kinds in (
+        ('nodes', model.nodes, ('edges', 'delaunay')),
+        ('edges', model.edges, ('edges',)),
+    ):
+        if given and model.topology not in kinds:
+            raise ConfigError(f'{source}.{name}: has no meaning with topology {model.topology}')
+    if model.topology == 'grid':
+        return
+    if model.nodes < FEWEST_NODES[model.topology]:
+        raise ConfigError(
+            f'{source}.nodes: topology {model.topology} needs a number of nodes of at least '
+            f'{FEWEST_NODES[model.topology]}, here or by labels'
+        )
+    if model.rest_length == 'dimensions':
+        raise ConfigError(
+            f'{source}.rest_length: width and height tell nothing of topology {model.topology}; '
+            f'choose measured or calibrated'
+        )
+    if model.topology == 'edges' and (flaw := _flaw_of_edges(model.nodes, model.edges)):
+        raise ConfigError(f'{source}.edges: {flaw}')
+
+
+def _flaw_of_edges(nodes: int, flat: tuple[int, ...]) -> str:
+    """Return what keeps a list of node pairs from being one mesh, or nothing."""
+    if len(flat) % 2:
+        return f'expected pairs of nodes, got {len(flat)} numbers'
+    part, seen = list(range(nodes)), set()
+    for i, j in zip(flat[::2], flat[1::2], strict=True):
+        if max(i, j) >= nodes:
+            return f'node {max(i, j)} does not exist, model.nodes has {nodes} nodes'
+        if i == j:
+            return f'node {i} is joined with itself'
+        if (pair := frozenset((i, j))) in seen:
+            return f'the pair {i}, {j} is listed twice'
+        seen.add(pair)
+        old, new = max(part[i], part[j]), min(part[i], part[j])
+        part = [new if p == old else p for p in part]
+    return f'no edges lead from node 0 to node {part.index(max(part))}' if any(part) else ''
+
+
 def _check_together(config: Config, source: str) -> None:
     if len(set(config.labels)) != len(config.labels):
         raise ConfigError(f'{source}: labels: a label is listed twice')
-    nodes = config.model.rows * config.model.cols
+    if len(set(config.horizons)) != len(config.horizons):
+        raise ConfigError(f'{source}: horizons: a horizon is listed twice')
+    nodes = config.model.count
     if config.labels and len(config.labels) != nodes:
         raise ConfigError(
-            f'{source}: labels: {len(config.labels)} labels, but model.rows x model.cols has '
+            f'{source}: labels: {len(config.labels)} labels, but {config.model.counted_by} has '
             f'{nodes} nodes'
         )
     outside = [node for node in config.anchors.nodes if node >= nodes]
     if outside:
         raise ConfigError(
             f'{source}: anchors.nodes: node {outside[0]} does not exist, '
-            f'model.rows x model.cols has {nodes} nodes'
+            f'{config.model.counted_by} has {nodes} nodes'
         )
     if len(set(config.anchors.nodes)) != len(config.anchors.nodes):
         raise ConfigError(f'{source}: anchors.nodes: a node is listed twice')
