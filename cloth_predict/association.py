@@ -57,15 +57,15 @@ def markers_of_nodes(sequence: MarkerSequence, config: Config, source: str) -> M
         )
     if config.labels:
         sequence = choose(sequence, config.labels, source)
-    nodes = config.model.rows * config.model.cols
+    nodes = config.model.count
     labelled = np.flatnonzero(~sequence.unlabelled)
     if not config.labels and len(labelled) == nodes:
         sequence = sequence.select(labelled)  # others in view are left out
     if len(sequence.labels) != nodes:
         raise FormatError(
             f'{source}: {len(sequence.labels)} markers ({_listed(sequence.labels)}) do not fit '
-            f'model.rows x model.cols = {config.model.rows} x {config.model.cols} = {nodes} '
-            f'nodes; choose the markers with the parameter labels'
+            f'{config.model.counted_by} = {config.model.name}; choose the markers with the '
+            f'parameter labels'
         )
     return sequence
 

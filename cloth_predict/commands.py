@@ -47,7 +47,7 @@ def predict(source: Path, config_path: Path, output: Path, progress: Progress) -
     config = configuration.load(config_path)
     markers = markers_of_nodes(read(source).markers, config, str(source))
     tracker, frame_id = Tracker(config), config.frame
-    rows, cols = config.model.rows, config.model.cols
+    rows, cols = config.model.shape
     with create_bag(output, markers.labels) as bag:
         for k, stamp in enumerate(markers.stamps.tolist()):
             positions, visible = markers.positions[k], markers.visible[k]

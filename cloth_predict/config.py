@@ -21,8 +21,8 @@ from ruamel.yaml.error import YAMLError
 
 from cloth_predict.errors import ConfigError
 
-
 FEWEST_NODES = {'edges': 2, 'delaunay': 3}
+"""By topology."""
 
 
 def param(

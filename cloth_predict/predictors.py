@@ -46,7 +46,7 @@ class Hold:
     """The last position seen of each marker."""
 
     def __init__(self, config: Config) -> None:
-        self._last = Predicted.unknown(config.model.rows * config.model.cols)
+        self._last = Predicted.unknown(config.model.count)
 
     def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> float:
         """Take a frame."""
@@ -66,7 +66,7 @@ class Kinematic:
         self._config, self._motion, self._density = config, motion, density
         self._tracks: dict[int, KinematicTrack] = {}
         self._stamp: int | None = None
-        self._nodes = config.model.rows * config.model.cols
+        self._nodes = config.model.count
 
     def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> float:
         """Take a frame."""

@@ -36,7 +36,7 @@ class Tracker:
     def __init__(self, config: Config) -> None:
         """Prepare; the surface starts with the first frame that shows enough of it."""
         self.config = config
-        self.nodes = config.model.rows * config.model.cols
+        self.nodes = config.model.count
         self.counts: Counter[str] = Counter()
         self._stamp: int | None = None
         self._now: Start | None = None
@@ -89,8 +89,8 @@ class Tracker:
     def _check(self, positions: FloatArray, visible: BoolArray) -> None:
         if positions.shape != (self.nodes, 3) or visible.shape != (self.nodes,):
             raise FrameError(
-                f'positions {positions.shape} and visible {visible.shape}, but model.rows x '
-                f'model.cols has {self.nodes} nodes'
+                f'positions {positions.shape} and visible {visible.shape}, but '
+                f'{self.config.model.counted_by} has {self.nodes} nodes'
             )
         bad = visible & ~(np.abs(positions) < FARTHEST).all(axis=1)
         if bad.any():

@@ -1,4 +1,4 @@
-"""Which nodes springs join, and how: grids and chains of any size."""
+"""Which nodes springs join, and how: grids and chains of any size, and meshes."""
 
 from __future__ import annotations
 
@@ -67,8 +67,24 @@ def grid_springs(
     """
     families = grid_pairs(rows, cols)
     pairs = np.concatenate(list(families.values()))
-    k = np.concatenate([np.full(len(p), stiffness[name]) for name, p in families.items()])
     rest_length = np.linalg.norm(shape[pairs[:, 0]] - shape[pairs[:, 1]], axis=1)
+    return mesh_springs(families, rest_length, stiffness, damping, compression)
+
+
+def mesh_springs(
+    families: Mapping[str, IntArray],
+    rest_length: FloatArray,
+    stiffness: Mapping[str, float],
+    damping: float,
+    compression: float = 1.0,
+) -> Springs:
+    """Springs of any mesh: node pairs by family, each of shape (springs, 2).
+
+    rest_length [m], shape (all springs,), of the families in turn; the others as in
+    `grid_springs`.
+    """
+    pairs = np.concatenate(list(families.values()))
+    k = np.concatenate([np.full(len(p), stiffness[name]) for name, p in families.items()])
     return Springs(pairs, k, np.full(len(pairs), damping), rest_length, compression)
 
 

@@ -242,7 +242,7 @@ def _live_run(output: Path, stamps: IntArray, settings: Config, seconds: float) 
     for stamp, message in read_clouds(output, 'cloth/prediction'):
         points = decode(message, ('x', 'y', 'z', 'sigma'))
         published[stamp] = Predicted(xyz(points), points['sigma'].ravel().astype(float))
-    unknown = Predicted.unknown(settings.model.rows * settings.model.cols)
+    unknown = Predicted.unknown(settings.model.count)
     ahead = round(settings.horizon * 1e9)
     found = [published.get(stamp + ahead, unknown) for stamp in stamps.tolist()]
     positions, sigmas = (np.array(values) for values in zip(*found, strict=True))

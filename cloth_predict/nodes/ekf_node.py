@@ -58,10 +58,10 @@ class EkfNode(ConfiguredNode):
     def _publish(self) -> None:
         model = self.config.model
         prediction = self._tracker.predict(self.config.horizon)
-        points = encode_surface(prediction, model.rows, model.cols)
+        points = encode_surface(prediction, *model.shape)
         self._prediction.publish(cloud(prediction.stamp, self.config.frame, points))
         estimate = self._tracker.estimate()
-        points = encode_surface(estimate, model.rows, model.cols)
+        points = encode_surface(estimate, *model.shape)
         self._estimate.publish(cloud(estimate.stamp, self.config.frame, points))
         if len(self._triangles) and self._mesh.get_subscription_count():
             self._mesh.publish(self._mesh_marker(prediction))

@@ -23,10 +23,10 @@ class ProjectorNode(ConfiguredNode):
     def __init__(self, **options: object) -> None:
         super().__init__('projector_node', **options)
         model = self.config.model
-        self._shape = (model.rows, model.cols)
+        self._shape = rows, cols = model.shape
         self._pinhole = Pinhole.from_config(self.config.projector)
-        self._times = row_times(model.rows, self.config.projector.fps)
-        self._texture = np.meshgrid(fractions(model.cols), fractions(model.rows))
+        self._times = row_times(rows, self.config.projector.fps)
+        self._texture = np.meshgrid(fractions(cols), fractions(rows))
         self._vertices = self.publisher(PointCloud2, 'projector/vertices')
         self._scanlines = self.publisher(PointCloud2, 'projector/scanlines')
         self._outside = 0

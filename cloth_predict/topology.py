@@ -1,0 +1,124 @@
+"""Which nodes are joined: grids, lists of edges, and triangulations of a measured surface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial import Delaunay, QhullError
+
+from cloth_predict.errors import FrameError
+from cloth_predict.models.springs import grid_pairs
+from cloth_predict.types import FloatArray, IntArray
+
+LONGEST_EDGE = 3.0
+"""Edge of a triangulation, by the median edge, from which on it only spans a gap of the hull."""
+NO_TRIANGLES = np.zeros((0, 3), np.int64)
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Node pairs by spring family, each of shape (springs, 2), and triangles, shape (t, 3).
+
+    The families are `structural`, `shear` and `flexion`, in this order, as `Springs` has them.
+    """
+
+    families: Mapping[str, IntArray]
+    triangles: IntArray
+
+    @property
+    def edges(self) -> IntArray:
+        """Neighbours: the pairs that structural springs join, shape (edges, 2)."""
+        return self.families['structural']
+
+    @property
+    def pairs(self) -> IntArray:
+        """Pairs of all families in turn, shape (springs, 2)."""
+        return np.concatenate(list(self.families.values()))
+
+
+def grid(rows: int, cols: int) -> Topology:
+    """Join a grid; a chain is one row."""
+    return Topology(grid_pairs(rows, cols), grid_triangles(rows, cols))
+
+
+def grid_triangles(rows: int, cols: int) -> IntArray:
+    """Two triangles per cell of a grid, shape (2 cells, 3)."""
+    node = np.arange(rows * cols).reshape(rows, cols)
+    a, b, c, d = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]
+    return np.stack([a, c, b, b, c, d], axis=-1).reshape(-1, 3).astype(np.int64)
+
+
+def of_edges(nodes: int, edges: IntArray) -> Topology:
+    """Join these pairs, shape (edges, 2); what is two edges apart resists bending."""
+    joined = adjacency(nodes, edges)
+    two = sparse.triu(joined @ joined, k=1) > 0
+    apart = sparse.coo_array(two.astype(int) - two.multiply(joined > 0).astype(int))
+    apart.eliminate_zeros()
+    return _mesh(edges, np.column_stack([apart.row, apart.col]), NO_TRIANGLES)
+
+
+def delaunay(points: FloatArray) -> Topology:
+    """Triangulate a surface [m], shape (nodes, 3), in its best plane.
+
+    Edges longer than three times the median are left out, as they only span gaps of the hull,
+    except those without which a node would be alone. Opposite corners of two triangles with a
+    common edge resist bending. Raises FrameError where the points do not span a plane.
+    """
+    triangles = _triangulated(points)
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+    edges = np.unique(sides.reshape(-1, 2), axis=0)
+    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    # the shortest tree through all points is part of the triangulation: nothing comes apart
+    tree = minimum_spanning_tree(adjacency(len(points), edges, length)).toarray()
+    needed = (tree + tree.T)[edges[:, 0], edges[:, 1]] > 0
+    kept = edges[(length <= LONGEST_EDGE * np.median(length)) | needed]
+    number = np.full((len(points),) * 2, -1)
+    number[kept[:, 0], kept[:, 1]] = np.arange(len(kept))
+    of_triangle = number[sides[..., 0], sides[..., 1]]
+    whole = (of_triangle >= 0).all(axis=1)
+    return _mesh(kept, _opposite(triangles[whole], of_triangle[whole]), triangles[whole])
+
+
+def adjacency(nodes: int, edges: IntArray, weight: FloatArray | float = 1.0) -> sparse.csr_array:
+    """Symmetric matrix with the weights of the edges, shape (nodes, nodes)."""
+    values = np.broadcast_to(weight, len(edges))
+    half = sparse.csr_array((values, tuple(edges.T)), shape=(nodes, nodes))
+    return sparse.csr_array(half + half.T)
+
+
+def _mesh(edges: IntArray, flexion: IntArray, triangles: IntArray) -> Topology:
+    none = np.zeros((0, 2), np.int64)
+    families = {'structural': edges, 'shear': none, 'flexion': flexion}
+    return Topology({name: pairs.astype(np.int64) for name, pairs in families.items()}, triangles)
+
+
+def _triangulated(points: FloatArray) -> IntArray:
+    """Triangles, shape (t, 3), of the points [m] in their best plane, in which all have a side."""
+    centred = points - points.mean(axis=0)
+    plane = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
+    try:
+        found = Delaunay(plane)
+    except (QhullError, ValueError):
+        raise FrameError(
+            f'{len(points)} markers cannot be triangulated: they lie on a line'
+        ) from None
+    if len(found.coplanar):
+        node, _, other = found.coplanar[0]
+        raise FrameError(f'markers {node} and {other} are at the same place')
+    return np.asarray(found.simplices, np.int64)
+
+
+def _opposite(triangles: IntArray, sides: IntArray) -> IntArray:
+    """Pairs of opposite corners of triangles with a common side, shape (pairs, 2).
+
+    sides, shape (t, 3): the number of the edge from corner k to k + 1; opposite is corner k + 2.
+    """
+    corner, side = np.roll(triangles, -2, axis=1).ravel(), sides.ravel()
+    order = np.argsort(side, kind='stable')
+    shared = np.flatnonzero(np.diff(side[order]) == 0)
+    pairs = np.column_stack([corner[order[shared]], corner[order[shared + 1]]])
+    return np.sort(pairs, axis=1)
