@@ -13,6 +13,7 @@ from scipy.spatial.distance import cdist
 
 from cloth_predict.assembly import aligned
 from cloth_predict.association import checked, in_node_order
+from cloth_predict.chain_matching import find_chain
 from cloth_predict.errors import FrameError
 from cloth_predict.models.springs import grid_pairs
 from cloth_predict.types import FloatArray, IntArray
@@ -41,8 +42,6 @@ ITERATIONS = 6
 """Most assignments of a stage."""
 GOOD = 0.1
 """Root mean square of the stretch [cells] at which no other start is tried."""
-LONGEST_GAP = 3.0
-"""Longest distance of neighbours in a chain, by the median of these distances."""
 
 
 @dataclass(frozen=True)
@@ -78,25 +77,33 @@ class Grid:
         return cls(rows, cols, shape, pairs, lengths, edges_of, bending, cell)
 
 
-def find_grid(points: FloatArray, rows: int, cols: int, shape: FloatArray) -> IntArray:
+def find_grid(
+    points: FloatArray,
+    rows: int,
+    cols: int,
+    shape: FloatArray,
+    known: IntArray | None = None,
+) -> IntArray:
     """Return the node of each point, shape (m,), or -1 for a ghost.
 
     points [m], shape (m, 3), in any order, some missing or too many; shape [m], shape
     (rows * cols, 3): the flat rest shape. Bending is allowed, stretching is not, except that a
     chain with all its points may have any distances. Of the labellings that the symmetry of the
-    grid leaves open, the one with the smallest turn of `shape` is taken. Raises FrameError where
-    the points do not make such a grid.
+    grid leaves open, the one is taken that agrees with most of the nodes that are `known`, shape
+    (m,), -1 where not, and of these the one with the smallest turn of `shape`. Raises FrameError
+    where the points do not make such a grid.
     """
     points = checked(points)
     nodes = rows * cols
+    known = np.full(len(points), -1) if known is None else known
     if len(points) < max(2, nodes / 2):
         raise FrameError(f'{len(points)} points are too few for {rows} x {cols} nodes')
     if min(rows, cols) == 1:
-        return _smallest_turn(_find_chain(points, shape), points, rows, cols, shape)
+        return _smallest_turn(find_chain(points, shape), points, rows, cols, shape, known)
     grid = Grid.of(rows, cols, shape)
     best = _slid(grid, _best_of_starts(grid, points), points)
     _require_grid(grid, best, points)
-    return _smallest_turn(best, points, rows, cols, shape)
+    return _smallest_turn(best, points, rows, cols, shape, known)
 
 
 def _best_of_starts(grid: Grid, points: FloatArray) -> IntArray:
@@ -267,16 +274,30 @@ def _require_grid(grid: Grid, node: IntArray, points: FloatArray) -> None:
 
 
 def _smallest_turn(
-    node: IntArray, points: FloatArray, rows: int, cols: int, shape: FloatArray
+    node: IntArray,
+    points: FloatArray,
+    rows: int,
+    cols: int,
+    shape: FloatArray,
+    known: IntArray,
 ) -> IntArray:
-    """Of the labellings that are the same grid, take the one that turns `shape` least."""
+    """Of the labellings that are the same grid, take the one that turns `shape` least.
+
+    Before that, the one that agrees with most of the nodes that are known.
+    """
     index = np.arange(rows * cols).reshape(rows, cols)
     same = [index, index[::-1], index[:, ::-1], index[::-1, ::-1]]
     sides = np.ptp(shape, axis=0)
     if rows == cols and np.isclose(sides[0], sides[1], rtol=0.01):
         same += [other.T for other in same]
     labellings = [np.where(node >= 0, other.ravel()[node], -1) for other in same]
-    return max(labellings, key=lambda labelling: _turn_trace(labelling, points, shape))
+    return max(
+        labellings,
+        key=lambda found: (
+            int(((found == known) & (known >= 0)).sum()),
+            _turn_trace(found, points, shape),
+        ),
+    )
 
 
 def _turn_trace(node: IntArray, points: FloatArray, shape: FloatArray) -> float:
@@ -284,71 +305,3 @@ def _turn_trace(node: IntArray, points: FloatArray, shape: FloatArray) -> float:
     positions, seen = in_node_order(node, points, len(shape) + 4)
     laid = aligned(np.vstack([shape, np.zeros(3), np.eye(3)]), positions, seen)
     return float(np.trace(laid[-3:] - laid[-4]))
-
-
-def _find_chain(points: FloatArray, shape: FloatArray) -> IntArray:
-    """Nodes of the points of a chain, shape (m,), in one of its two directions.
-
-    The chain is the shortest path; what makes the longest detours beyond the number of nodes are
-    ghosts. Where points are missing, the others are found by their distance along the chain.
-    """
-    nodes = len(shape)
-    path = _shortest_path(cdist(points, points))
-    while len(path) > nodes:
-        path = np.delete(path, _detours(points[path]).argmax())
-    gaps = np.linalg.norm(np.diff(points[path], axis=0), axis=1)
-    rest = np.linalg.norm(np.diff(shape, axis=0), axis=1)
-    along = np.arange(nodes)
-    if len(path) < nodes:
-        if abs(gaps.sum() - rest.sum()) > np.median(rest) / 2:
-            raise FrameError(
-                f'{len(path)} points make a chain of {gaps.sum():.3g} m, but one of {nodes} nodes '
-                f'has {rest.sum():.3g} m'
-            )
-        arc, rest_arc = (np.append(0.0, np.cumsum(g)) / g.sum() for g in (gaps, rest))
-        along = linear_sum_assignment(np.square(arc[:, None] - rest_arc))[1]
-    elif not gaps.max() < LONGEST_GAP * np.median(gaps):
-        raise FrameError(
-            f'{len(points)} points do not make a chain of {nodes} nodes: a gap of '
-            f'{gaps.max():.3g} m where {np.median(gaps):.3g} m are usual'
-        )
-    node = np.full(len(points), -1)
-    node[path] = along
-    return node
-
-
-def _detours(path: FloatArray) -> FloatArray:
-    """Length [m], shape (m,), by which a path, (m, 3), is shorter without each of its points."""
-    step = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    skip = np.linalg.norm(path[2:] - path[:-2], axis=1)
-    return np.concatenate([step[:1], step[:-1] + step[1:] - skip, step[-1:]])
-
-
-def _shortest_path(distance: FloatArray) -> IntArray:
-    """Order, shape (m,), of a short open path: nearest neighbours from each end, then 2-opt."""
-    paths = [_untangled(_greedy(distance, start), distance) for start in range(len(distance))]
-    return min(paths, key=lambda path: float(distance[path[:-1], path[1:]].sum()))
-
-
-def _greedy(distance: FloatArray, start: int) -> IntArray:
-    left, path = np.ones(len(distance), bool), [start]
-    left[start] = False
-    while left.any():
-        path.append(int(np.where(left, distance[path[-1]], np.inf).argmin()))
-        left[path[-1]] = False
-    return np.array(path)
-
-
-def _untangled(path: IntArray, distance: FloatArray) -> IntArray:
-    """Reverse stretches of the path while that shortens it (2-opt, Croes 1958); ends are free."""
-    padded = np.zeros((len(path) + 1,) * 2)  # a point at distance zero of all closes the path
-    padded[:-1, :-1] = distance
-    while True:
-        tour = np.concatenate([[-1], path, [-1]])
-        now, after = tour[:-1], tour[1:]
-        step = padded[now, after]
-        change = padded[now[:, None], now] + padded[after[:, None], after] - step[:, None] - step
-        i, j = np.unravel_index(np.triu(change, 1).argmin(), change.shape)
-        if change[i, j] > -1e-12 or j <= i:
-            return path
-        path = np.concatenate([path[:i], path[i:j][::-1], path[j:]])
