@@ -151,14 +151,18 @@ def distances(predicted: FloatArray, actual: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(predicted - actual, axis=-1))
 
 
-def at_times(sequence: MarkerSequence, times: IntArray) -> tuple[FloatArray, BoolArray]:
+def at_times(
+    sequence: MarkerSequence, times: IntArray, usual: int | None = None
+) -> tuple[FloatArray, BoolArray]:
     """Positions [m], shape (times, markers, 3), and visibility at times [ns].
 
     A time between two frames is interpolated linearly, where both show the marker and are at most
-    two usual frame intervals apart. `sequence.stamps` must increase strictly.
+    two usual frame intervals apart: `usual` [ns], or else the median of the sequence, whose
+    stamps must increase strictly.
     """
     stamps = sequence.stamps
-    usual = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 0
+    if usual is None:
+        usual = int(np.median(np.diff(stamps))) if len(stamps) > 1 else 0
     # a stamp within a microsecond of the time is that time: stamps are rounded
     after = np.clip(np.searchsorted(stamps, times - 1000), 0, len(stamps) - 1)
     exact = np.abs(stamps[after] - times) <= 1000
