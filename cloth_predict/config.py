@@ -149,7 +149,18 @@ class ForceConfig:
 class FilterConfig:
     """The estimator."""
 
-    kind: str = param('ekf', 'estimator', choices=('ekf',))
+    kind: str = param(
+        'ekf',
+        'estimator; ukf and ckf cost some hundred times the ekf',
+        choices=(
+            'ekf',
+            'ukf',
+            'ckf',
+            'least_squares',
+            'recursive_least_squares',
+            'gomes2016',
+        ),
+    )
     integrator: str = param(
         'implicit_euler', 'step in time', choices=('euler', 'rk4', 'implicit_euler')
     )
@@ -168,6 +179,24 @@ class FilterConfig:
     initial_velocity: float = param(
         0.5, 'standard deviation of the velocity at the start', 'm/s', low=0
     )
+    ukf_alpha: float = param(
+        1e-3,
+        'ukf: reach of the sigma points, in sqrt(states) standard deviations',
+        low=1e-4,
+        high=1,
+    )
+    window: float = param(
+        0.15,
+        'least_squares: time over which the state is fitted to all measurements',
+        's',
+        above=0,
+    )
+    forgetting: float = param(
+        0.1,
+        'recursive_least_squares: time constant of the weight of past measurements',
+        's',
+        above=0,
+    )
     max_gap: float = param(
         1.0, 'interval between frames after which the filter starts anew', 's', above=0
     )
@@ -177,6 +206,54 @@ class FilterConfig:
         's',
         above=0,
     )
+    rewind: float = param(
+        0.05,
+        'a late frame that is at most this old is put in its place, and those after it are taken '
+        'again; 0 drops it',
+        's',
+        low=0,
+    )
+
+
+@dataclass(frozen=True)
+class AssociationConfig:
+    """Which marker is which node."""
+
+    check_labels: bool = param(
+        True, 'put swapped labels right, and hide markers that are at no node'
+    )
+    gate: float = param(
+        0.999999, 'share of the true markers that is inside the gate of its node', above=0, high=1
+    )
+    slack: float = param(
+        0.003,
+        "standard deviation of a node's position that the filter does not know of, in the gate",
+        'm',
+        low=0,
+    )
+    drift: float = param(
+        0.02, 'how fast this grows while no marker of the node is taken', 'm/s', low=0
+    )
+    patience: float = param(
+        0.5,
+        'a labelled marker is believed, wherever it is, when its node has had none for this long',
+        's',
+        above=0,
+    )
+
+
+@dataclass(frozen=True)
+class LimitsConfig:
+    """From where on a prediction is doubtful, and from where on there is none.
+
+    Sigma is the root mean square over the free nodes, of a coordinate of the prediction.
+    """
+
+    min_visible: int = param(
+        3, 'warn of fewer markers than this: three fix a rigid motion', low=0
+    )
+    sigma_warn: float = param(0.02, 'warn of a prediction with a larger sigma', 'm', above=0)
+    sigma_error: float = param(0.05, 'no prediction with a larger sigma', 'm', above=0)
 
 
 @dataclass(frozen=True)
@@ -265,6 +342,8 @@ class Config:
     anchors: AnchorsConfig = AnchorsConfig()
     force: ForceConfig = ForceConfig()
     filter: FilterConfig = FilterConfig()
+    association: AssociationConfig = AssociationConfig()
+    limits: LimitsConfig = LimitsConfig()
     baseline: BaselineConfig = BaselineConfig()
     replay: ReplayConfig = ReplayConfig()
     projector: ProjectorConfig = ProjectorConfig()

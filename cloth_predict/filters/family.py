@@ -7,12 +7,28 @@ from typing import Any
 
 from cloth_predict.config import Config
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
+from cloth_predict.filters.gomes2016 import Gomes2016
+from cloth_predict.filters.least_squares import LeastSquares, RecursiveLeastSquares
+from cloth_predict.filters.sigma_points import SigmaPointFilter
 from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.types import Filter
 
 FILTERS: dict[str, Callable[[Config, MassSpring], Filter[Any]]] = {
     'ekf': lambda config, mesh: ExtendedKalmanFilter(INTEGRATORS[config.filter.integrator]),
+    'ukf': lambda config, mesh: SigmaPointFilter(
+        INTEGRATORS[config.filter.integrator], config.filter.ukf_alpha, beta=2.0
+    ),
+    'ckf': lambda config, mesh: SigmaPointFilter(
+        INTEGRATORS[config.filter.integrator], alpha=1.0, beta=0.0
+    ),
+    'least_squares': lambda config, mesh: LeastSquares(
+        INTEGRATORS[config.filter.integrator], config.filter.window
+    ),
+    'recursive_least_squares': lambda config, mesh: RecursiveLeastSquares(
+        INTEGRATORS[config.filter.integrator], config.filter.forgetting
+    ),
+    'gomes2016': lambda config, mesh: Gomes2016(),
 }
 
 

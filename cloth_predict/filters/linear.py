@@ -38,9 +38,7 @@ def condition(
     if not residual.size:  # nothing seen, nothing learnt; LAPACK complains of empty systems
         return belief, Innovation(residual, innovation_cov, 0.0)
     innovation_cov = innovation_cov + (np.diag(noise) if noise.ndim == 1 else noise)
-    lower, failed = lapack.dpotrf(innovation_cov, lower=1)
-    if failed or not np.isfinite(lower[-1, -1]):  # a NaN passes through LAPACK to the last pivot
-        raise FloatingPointError('the innovation covariance is not positive definite')
+    lower = root(innovation_cov, 'innovation covariance')
     both = np.column_stack([cross, residual])
     white, _ = lapack.dtrtrs(lower, both, lower=1)
     gain_root, white_residual = white[:, :-1], white[:, -1]
@@ -48,6 +46,26 @@ def condition(
     cov = symmetric(belief.cov - gain_root.T @ gain_root)
     nis = float(white_residual @ white_residual)
     return Gaussian(mean, cov), Innovation(residual, innovation_cov, nis)
+
+
+def root(cov: FloatArray, name: str) -> FloatArray:
+    """Lower triangular L of cov = L L', shape (m, m).
+
+    Raises FloatingPointError that says `name` where cov is not positive definite.
+    """
+    lower, failed = lapack.dpotrf(cov, lower=1)
+    if failed or not np.isfinite(lower[-1, -1]):  # a NaN passes through LAPACK to the last pivot
+        raise FloatingPointError(f'the {name} is not positive definite')
+    return np.asarray(lower)
+
+
+def nearest_positive_definite(cov: FloatArray) -> FloatArray:
+    """Nearest symmetric matrix without negative eigenvalues, but for rounding (Higham 1988).
+
+    Eigenvalues are raised to 1e-12 of the largest one, so that the result has a Cholesky root.
+    """
+    values, vectors = np.linalg.eigh(symmetric(cov))
+    return symmetric((vectors * np.maximum(values, 1e-12 * values[-1])) @ vectors.T)
 
 
 def of_groups(left: FloatArray, right: FloatArray, rows: IntArray) -> FloatArray:
