@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from scipy import sparse
 
 from cloth_predict.types import (
     Dynamics,
     FloatArray,
     Integrator,
-    StepSolver,
     StiffDynamics,
     Tangent,
 )
@@ -65,26 +63,37 @@ class RungeKutta:
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
     ) -> tuple[FloatArray, FloatArray]:
         """State after dt [s] and its derivative, by the chain rule through the stages."""
-        identity = np.eye(model.dim_x)
-        slopes: list[FloatArray] = []
-        slope_jacs: list[FloatArray] = []
-        for row in self.tableau.a:
-            stage = x + dt * _combine(row, slopes)
-            stage_u = model.input_after(u, dt * sum(row))
-            slopes.append(model.f(stage, stage_u))
-            stage_jac = identity + dt * _combine(row, slope_jacs)
-            slope_jacs.append(np.asarray(model.jac(stage, stage_u) @ stage_jac))
-        return (
-            np.asarray(x + dt * _combine(self.tableau.b, slopes)),
-            np.asarray(identity + dt * _combine(self.tableau.b, slope_jacs)),
-        )
+        after, tangent = self.step_tangent(model, x, u, dt)
+        return after, tangent.step_jac
 
     def step_tangent(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
-    ) -> tuple[FloatArray, Tangent]:
+    ) -> tuple[FloatArray, DenseTangent]:
         """State after dt [s] and its derivative as a map."""
-        after, step_jac = self.step_jac(model, x, u, dt)
-        return after, DenseTangent(step_jac)
+        state, inputs = np.eye(model.dim_x), np.zeros((model.dim_x, model.dim_u))
+        identity, at_end = np.eye(model.dim_u), _input_after_jac(model, u)
+        slopes: list[FloatArray] = []
+        by_state: list[FloatArray] = []
+        by_input: list[FloatArray] = []
+        for row in self.tableau.a:
+            stage = x + dt * _combine(row, slopes)
+            lag = dt * sum(row)
+            stage_u = model.input_after(u, lag)
+            slopes.append(model.f(stage, stage_u))
+            jac, jac_input = model.jac(stage, stage_u), model.jac_input(stage, stage_u)
+            by_state.append(np.asarray(jac @ (state + dt * _combine(row, by_state))))
+            later = identity + lag * at_end
+            by_input.append(jac @ (inputs + dt * _combine(row, by_input)) + jac_input @ later)
+        end = self.tableau.b
+        after = np.asarray(x + dt * _combine(end, slopes))
+        step_jac = np.asarray(state + dt * _combine(end, by_state))
+        return after, DenseTangent(step_jac, np.asarray(dt * _combine(end, by_input)))
+
+
+def _input_after_jac(model: Dynamics, u: FloatArray) -> FloatArray:
+    """Rate of change of the input by the input itself, (dim_u, dim_u): it is linear in time."""
+    columns = [model.input_after(unit, 1.0) - unit for unit in np.eye(model.dim_u)]
+    return np.array(columns).reshape(model.dim_u, model.dim_u).T
 
 
 def _combine(weights: tuple[float, ...], terms: list[FloatArray]) -> FloatArray | float:
@@ -111,35 +120,36 @@ class ImplicitEuler:
     def step(self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float) -> FloatArray:
         """State after dt [s], shape (dim_x,)."""
         at = cast('StiffDynamics', model).linearise(x, u)
-        return x + at.solver(dt)(at.increment(dt))
+        return x + at.change(dt, at.solver(dt))
 
     def step_jac(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
     ) -> tuple[FloatArray, FloatArray]:
-        """State after dt [s] and its derivative.
-
-        Differentiating (I - dt J~(x)) dx = dt f(x) gives
-        F = I + (I - dt J~)^-1 dt (J + d(J~ dx)/dx): the matrix depends on the state too, and its
-        change along dx belongs to the Jacobian.
-        """
+        """State after dt [s] and its derivative."""
         after, tangent = self.step_tangent(model, x, u, dt)
         return after, tangent.push(np.eye(model.dim_x))
 
     def step_tangent(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
     ) -> tuple[FloatArray, Tangent]:
-        """State after dt [s] and its derivative as a map: solves, without ever making F."""
+        """State after dt [s] and its derivative as a map: solves, without ever making F.
+
+        Differentiating (I - dt J~(x)) dx = dt f(x) gives
+        F = I + (I - dt J~)^-1 dt (J + d(J~ dx)/dx): the matrix depends on the state too, and its
+        change along dx belongs to the derivative.
+        """
         at = cast('StiffDynamics', model).linearise(x, u)
-        solve = at.solver(dt)
-        change = solve(at.increment(dt))
-        return x + change, _ImplicitTangent(solve, dt * at.step_slope(change, dt))
+        solver = at.solver(dt)
+        change = at.change(dt, solver)
+        return x + change, at.tangent(dt, solver, change)
 
 
 @dataclass(frozen=True)
 class DenseTangent:
-    """A derivative F given as a matrix; see `types.Tangent`."""
+    """A derivative given as matrices, by the state and by the inputs if any; see `Tangent`."""
 
     step_jac: FloatArray
+    input_jac: FloatArray | None = None
 
     def push(self, columns: FloatArray) -> FloatArray:
         """Return F C."""
@@ -149,21 +159,11 @@ class DenseTangent:
         """Return W F."""
         return rows @ self.step_jac
 
-
-@dataclass(frozen=True)
-class _ImplicitTangent:
-    """F = I + N^-1 S with N = I - dt J~ and S = dt (J + d(J~ dx)/dx)."""
-
-    solve: StepSolver
-    slope: sparse.csr_array
-
-    def push(self, columns: FloatArray) -> FloatArray:
-        """Return C + N^-1 (S C)."""
-        return columns + self.solve(self.slope @ columns)
-
-    def pull(self, rows: FloatArray) -> FloatArray:
-        """Return W + (W N^-1) S."""
-        return np.asarray(rows + (self.slope.T @ self.solve.transposed(rows.T)).T)
+    def drive(self, inputs: FloatArray) -> FloatArray:
+        """Change of the state after the step with its inputs."""
+        if self.input_jac is None:
+            raise ValueError('the derivative by the inputs was not given')
+        return self.input_jac @ inputs
 
 
 INTEGRATORS: dict[str, Integrator] = {

@@ -119,6 +119,8 @@ class Scene:
         """Not needed by an explicit step, and not offered."""
         raise TypeError('a scene is simulated by explicit steps only')
 
+    jac_input = jac
+
     def wind_force(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Force of the wind on the free nodes [N], shape (free, 3).
 

@@ -161,35 +161,31 @@ class Dynamics(Protocol):
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f with respect to x, shape (dim_x, dim_x)."""
 
+    def jac_input(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
+        """Derivative of f with respect to u, shape (dim_x, dim_u)."""
+
     def input_after(self, u: FloatArray, dt: float) -> FloatArray:
         """Input dt [s] later, as far as the input itself tells (driven nodes have velocities)."""
 
 
-class StepSolver(Protocol):
-    """Solves with N = I - dt J~ and with its transpose."""
-
-    def __call__(self, b: FloatArray) -> FloatArray:
-        """Return y of N y = b; b has shape (dim_x,) or (dim_x, m)."""
-
-    def transposed(self, b: FloatArray) -> FloatArray:
-        """Return y of N' y = b; b has shape (dim_x, m)."""
-
-
 class Linearised(Protocol):
-    """A model at one state, as an implicit step needs it.
+    """A model at one state, as an implicit step (I - dt J~) dx = dt (f + dt df/du u') needs it.
 
-    The solve may use a J~ that differs from J where that keeps it positive definite; `step_slope`
-    accounts for it, so that the step's own Jacobian is exact all the same.
+    The solve may use a J~ that differs from J where that keeps it positive definite; `tangent`
+    accounts for it, so that the step's own derivative is exact all the same.
     """
 
-    def increment(self, dt: float) -> FloatArray:
-        """Return dt (f + dt df/du u'): what the step's matrix is solved for, shape (dim_x,)."""
+    def solver(self, dt: float) -> Solver:
+        """Return the solver that a step of dt [s] from here uses, for `change` and `tangent`."""
 
-    def solver(self, dt: float) -> StepSolver:
-        """Return the solver of N = I - dt J~."""
+    def change(self, dt: float, solver: Solver) -> FloatArray:
+        """Change of the state in a step of dt [s], shape (dim_x,).
 
-    def step_slope(self, w: FloatArray, dt: float) -> sparse.csr_array:
-        """Derivative of f + dt df/du u' + J~ w by x, for a fixed w, shape (dim_x, dim_x)."""
+        The solver may be that of a state nearby: the step stays consistent, of first order.
+        """
+
+    def tangent(self, dt: float, solver: Solver, change: FloatArray) -> Tangent:
+        """Derivative of the step that makes this change, for the solver of this state."""
 
 
 class StiffDynamics(Dynamics, Protocol):
@@ -207,6 +203,9 @@ class Tangent(Protocol):
 
     def pull(self, rows: FloatArray) -> FloatArray:
         """Return W F, both of shape (m, dim_x)."""
+
+    def drive(self, inputs: FloatArray) -> FloatArray:
+        """Change of the state after the step, (dim_x, m), with its inputs, shape (dim_u, m)."""
 
 
 class Integrator(Protocol):

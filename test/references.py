@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from cloth_predict.integrators import DenseTangent
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs, grid_pairs
 
@@ -123,6 +124,9 @@ class Linear:
     def jac(self, x, u):
         return sparse.csr_array(self.A)
 
+    def jac_input(self, x, u):
+        return sparse.csr_array((self.dim_x, 0))
+
     def input_after(self, u, dt):
         return u
 
@@ -135,25 +139,15 @@ class LinearAt:
     A: np.ndarray
     slope: np.ndarray
 
-    def increment(self, dt):
-        return dt * self.slope
-
     def solver(self, dt):
-        return DenseSolver(np.eye(len(self.A)) - dt * self.A)
+        return lambda b: np.linalg.solve(np.eye(len(self.A)) - dt * self.A, b)
 
-    def step_slope(self, w, dt):
-        return sparse.csr_array(self.A)
+    def change(self, dt, solver):
+        return solver(dt * self.slope)
 
-
-@dataclass
-class DenseSolver:
-    N: np.ndarray
-
-    def __call__(self, b):
-        return np.linalg.solve(self.N, b)
-
-    def transposed(self, b):
-        return np.linalg.solve(self.N.T, b)
+    def tangent(self, dt, solver, change):
+        one = np.eye(len(self.A))
+        return DenseTangent(one + solver(dt * self.A), np.zeros((len(one), 0)))
 
 
 def damped_oscillators(rng, count):

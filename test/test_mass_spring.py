@@ -260,18 +260,29 @@ def test_nodes_at_the_same_place_make_no_force_and_no_nan():
 def test_solver_equals_a_dense_solve(rows, cols, driven, rest):
     rng = np.random.default_rng(2)
     model, x, u = random_surface(rng, rows, cols, driven, rest)
-    dt = 0.01
-    position, _ = model.surface(x, u)
-    matrix = np.eye(model.dim_x) - dt * state_jacobian(model, position, clamp=True)
-    b = rng.normal(size=(model.dim_x, 4))
+    dt, n = 0.01, model.dim_x // 2
+    J = state_jacobian(model, model.surface(x, u)[0], clamp=True)
+    mass = model.mass[model.free].repeat(3)[:, None]
+    matrix = mass * (np.eye(n) - dt**2 * J[n:, :n] - dt * J[n:, n:])
+    b = rng.normal(size=(n, 20))
     expected = np.linalg.solve(matrix, b)
     solve = model.linearise(x, u).solver(dt)
     tolerance = 1e-15 * np.linalg.cond(matrix) * np.abs(expected).max()  # rounding of both solves
     np.testing.assert_allclose(solve(b), expected, atol=tolerance)
+    np.testing.assert_allclose(solve(b[:, :2]), expected[:, :2], atol=tolerance)
     np.testing.assert_allclose(solve(b[:, 1]), expected[:, 1], atol=tolerance)
-    expected = np.linalg.solve(matrix.T, b)
-    tolerance *= np.abs(expected).max() / np.abs(solve(b)).max()  # of the other solution's size
-    np.testing.assert_allclose(solve.transposed(b), expected, atol=tolerance)
+
+
+def test_a_solver_of_a_state_nearby_keeps_the_step_consistent():
+    model, x, u = random_surface(np.random.default_rng(3), 4, 3, (0,))
+    near = x + np.random.default_rng(4).normal(0, 0.01, len(x))
+    steps = np.array([4e-4, 2e-4, 1e-4])
+    errors = []
+    for dt in steps:
+        change = model.linearise(x, u).change(dt, model.linearise(near, u).solver(dt))
+        errors.append(np.abs(change - dt * model.f(x, u)).max())
+    # the error of one step is of second order
+    assert order_of(errors, steps) == pytest.approx(2, abs=0.2)
 
 
 def test_step_equals_equation_3_32_where_all_springs_are_stretched():
@@ -288,15 +299,20 @@ def test_step_equals_equation_3_32_where_all_springs_are_stretched():
 
 def test_dense_and_banded_path_agree(monkeypatch):
     rng = np.random.default_rng(12)
-    model, x, u = random_surface(rng, 8, 7, range(7))
-    b = rng.normal(size=(model.dim_x, 3))
+    _, x, u = random_surface(rng, 8, 7, range(7))
     # and the 10 x 9 mesh above takes the banded path by itself
-    assert model.dim_x // 2 <= blocks.MOST_DENSE < 3 * (90 - 9)
-    dense = model.linearise(x, u).solver(0.01)(b)
-    monkeypatch.setattr(blocks, 'MOST_DENSE', 0)
-    banded = model.linearise(x, u).solver(0.01)(b)
+    assert len(x) // 2 <= blocks.MOST_DENSE < 3 * (90 - 9)
+    found = []
+    for most in (blocks.MOST_DENSE, 0):
+        monkeypatch.setattr(blocks, 'MOST_DENSE', most)
+        model = random_surface(np.random.default_rng(12), 8, 7, range(7))[0]
+        after, tangent = ImplicitEuler().step_tangent(model, x, u, 0.01)
+        columns = np.random.default_rng(1).normal(size=(len(x), 30))
+        inputs = np.random.default_rng(2).normal(size=(model.dim_u, 3))
+        parts = (tangent.push(columns), tangent.pull(columns.T).T, tangent.drive(inputs))
+        found.append(np.column_stack([after, *parts]))
     # rounding times a condition number below 1e3
-    np.testing.assert_allclose(banded, dense, atol=1e-12 * np.abs(dense).max())
+    np.testing.assert_allclose(found[1], found[0], atol=1e-12 * np.abs(found[0]).max())
 
 
 def test_solver_exists_for_strongly_compressed_states():
@@ -306,11 +322,13 @@ def test_solver_exists_for_strongly_compressed_states():
         model, x, u = random_surface(rng, 4, 4, (0,), rest=(1.0, 20.0))
         x[:45] *= 10 ** rng.uniform(-6, 0)  # crumpled, down to a micrometre
         dt = 10 ** rng.uniform(-3, 0)
-        b = rng.normal(size=model.dim_x)
+        b = rng.normal(size=45)
         y = model.linearise(x, u).solver(dt)(b)
         J = state_jacobian(model, model.surface(x, u)[0], clamp=True)
-        residual = y - dt * J @ y - b
-        scale = np.abs(y).max() * (1 + dt * np.abs(J).sum(axis=1).max())
+        mass = model.mass[model.free].repeat(3)
+        A = np.diag(mass) - dt * mass[:, None] * (dt * J[45:, :45] + J[45:, 45:])
+        residual = A @ y - b
+        scale = np.abs(y).max() * np.abs(A).sum(axis=1).max()
         assert np.abs(residual).max() < 1e-13 * scale  # rounding of a backward stable solve
         J = state_jacobian(model, model.surface(x, u)[0])
         force_jac = model.mass[model.free].repeat(3)[:, None] * J[45:]
@@ -333,11 +351,16 @@ def test_inputs_are_never_written_to():
         method.step_jac(model, x, u, 0.01)
     model.jac(x, u)
     at = model.linearise(x, u)
-    b = np.ones(model.dim_x)
-    b.flags.writeable = False
-    at.solver(0.01)(b)
-    first = at.step_slope(b, 0.01).toarray()
-    np.testing.assert_array_equal(at.step_slope(b, 0.01).toarray(), first)
+    solver = at.solver(0.01)
+    change = at.change(0.01, solver)
+    columns, inputs = np.ones((model.dim_x, 2)), np.ones((model.dim_u, 2))
+    for array in (change, columns, inputs):
+        array.flags.writeable = False
+    tangent = at.tangent(0.01, solver, change)
+    first = tangent.push(columns), tangent.pull(columns.T), tangent.drive(inputs)
+    again = tangent.push(columns), tangent.pull(columns.T), tangent.drive(inputs)
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(x, before[0])
     np.testing.assert_array_equal(u, before[1])
 

@@ -54,12 +54,12 @@ class ExtendedKalmanFilter:
         for u in inputs:
             mean, tangent = self.integrator.step_tangent(model, mean, u, dt)
             tangents.append(tangent)
-        pulled, half = np.eye(len(mean))[rows.ravel()], 0.5 * dt * q
-        cov = np.zeros((*rows.shape, rows.shape[1]))
-        for tangent in reversed(tangents):
-            cov += of_groups(pulled, pulled * half, rows)
+        # noise acts half before and half after a step: fully between two of them
+        pulled, noise = np.eye(len(mean))[rows.ravel()], 0.5 * dt * q * (len(tangents) > 0)
+        cov = of_groups(pulled, pulled * noise, rows)
+        for left, tangent in reversed(list(enumerate(tangents))):
             pulled = tangent.pull(pulled)
-            cov += of_groups(pulled, pulled * half, rows)
+            cov += of_groups(pulled, pulled * noise * (2.0 if left else 1.0), rows)
         return mean, cov + of_groups(pulled, pulled @ belief.cov, rows)
 
     def update(

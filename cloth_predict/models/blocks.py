@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy import sparse
 from scipy.linalg import lapack
@@ -10,8 +12,8 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from cloth_predict.types import FloatArray, IntArray, Solver
 
 MOST_DENSE = 240
-"""Size of the implicit step's matrix up to which a dense factor is faster than a banded one:
-LAPACK's dense solve works on many columns at once, its banded one column by column."""
+"""Size up to which matrices are dense: LAPACK does not notice the zeros of so few numbers, while
+each call of a sparse product costs some ten microseconds before it begins."""
 
 
 class BlockStructure:
@@ -30,7 +32,9 @@ class BlockStructure:
         ends = np.concatenate([i[i >= 0], j[j >= 0]])
         spring = np.concatenate([each[i >= 0], each[j >= 0]])
         sign = np.repeat([1.0, -1.0], [(i >= 0).sum(), (j >= 0).sum()])
-        self.incidence = sparse.csr_array((sign, (ends, spring)), shape=(len(free), len(pairs)))
+        self.dense = self.size <= MOST_DENSE
+        incidence = sparse.csr_array((sign, (ends, spring)), shape=(len(free), len(pairs)))
+        self.incidence = incidence.toarray() if self.dense else incidence
         """Adds the springs' forces up at the free nodes: + at the first end, - at the second."""
         # dF/dp of a spring is -B for the node's own motion and +B for that of its neighbour
         both = (i >= 0) & (j >= 0)
@@ -45,6 +49,7 @@ class BlockStructure:
         self.a, self.b = keys // len(free), keys % len(free)
         self._indptr = np.searchsorted(self.a, np.arange(len(free) + 1))
         self._row, self._col = _scalars(self.a, self.b)
+        self._flat = self._row * self.size + self._col
         self._build_band()
         self._build_state_matrix()
 
@@ -56,8 +61,12 @@ class BlockStructure:
         """Blocks of a diagonal matrix with one value per free node."""
         return np.where(self.a == self.b, values[self.a], 0.0)[:, None] * np.eye(3).ravel()
 
-    def matrix(self, blocks: FloatArray) -> sparse.bsr_array:
-        """Sparse matrix of shape (3 free, 3 free)."""
+    def matrix(self, blocks: FloatArray) -> FloatArray | sparse.bsr_array:
+        """Matrix of shape (3 free, 3 free); dense where it is small."""
+        if self.dense:
+            matrix = np.zeros(self.size**2)
+            matrix[self._flat] = blocks.ravel()
+            return matrix.reshape(self.size, self.size)
         data = blocks.reshape(-1, 3, 3)
         return sparse.bsr_array((data, self.b, self._indptr), shape=(self.size, self.size))
 
@@ -74,25 +83,17 @@ class BlockStructure:
 
         Raises FloatingPointError where the matrix is not positive definite.
         """
-        if self.size <= MOST_DENSE:
-            matrix = np.zeros((self.size, self.size))
-            matrix[self._row, self._col] = blocks.ravel()
-            factor, failed = lapack.dpotrf(matrix, lower=1)
+        if self.dense:
+            factor, failed = lapack.dpotrf(self.matrix(blocks), lower=1, overwrite_a=1)
         else:
-            band = np.zeros((self._bandwidth + 1, self.size))
+            band = np.zeros((self._bandwidth + 1, self.size), order='F')
             band[self._band_row, self._band_col] = blocks.ravel()[self._band_take]
-            factor, failed = lapack.dpbtrf(band, lower=1)
+            factor, failed = lapack.dpbtrf(band, lower=1, overwrite_ab=1)
         if failed:
             raise FloatingPointError('the implicit step has no positive definite matrix')
-        if self.size <= MOST_DENSE:
+        if self.dense:
             return lambda b: np.asarray(lapack.dpotrs(factor, b, lower=1)[0])
-
-        def solve(b: FloatArray) -> FloatArray:
-            y = np.empty_like(b)
-            y[self._order] = lapack.dpbtrs(factor, b[self._order], lower=1)[0]
-            return y
-
-        return solve
+        return BandSolver(factor, self._order)
 
     def _build_band(self) -> None:
         """Places of the lower triangle in LAPACK's band storage, nodes in Cuthill-McKee order."""
@@ -117,6 +118,57 @@ class BlockStructure:
         self._csr_take = np.lexsort((cols, rows))
         self._csr_indices = cols[self._csr_take]
         self._csr_indptr = np.searchsorted(rows[self._csr_take], np.arange(2 * self.size + 1))
+
+
+class BandSolver:
+    """Solver from the Cholesky factor L of a band matrix; b has shape (size,) or (size, m).
+
+    LAPACK's own band solve works column by column; many columns at once go through L cut into
+    dense blocks, where the work is in matrix products.
+    """
+
+    MOST_COLUMNS = 8
+    """Number of columns up to which LAPACK's is faster."""
+
+    def __init__(self, band: FloatArray, order: IntArray) -> None:
+        """Take L as LAPACK stores a lower band, and the order of its rows in the matrix."""
+        self._band, self._order = band, order
+
+    def __call__(self, b: FloatArray) -> FloatArray:
+        """Return y of L L' y = b."""
+        y, ordered = np.empty_like(b), b[self._order]
+        few = b.ndim == 1 or b.shape[1] <= self.MOST_COLUMNS
+        y[self._order] = (
+            lapack.dpbtrs(self._band, ordered, lower=1)[0] if few else self._blockwise(ordered)
+        )
+        return y
+
+    def _blockwise(self, b: FloatArray) -> FloatArray:
+        """Solve block by block, forwards with L and back with L'."""
+        y = b.copy()
+        for here, below, diagonal, lower in self._pieces:
+            y[here] = lapack.dtrtrs(diagonal, y[here], lower=1)[0]
+            y[below] -= lower @ y[here]
+        for here, below, diagonal, lower in reversed(self._pieces):
+            y[here] -= lower.T @ y[below]
+            y[here] = lapack.dtrtrs(diagonal, y[here], lower=1, trans=1)[0]
+        return y
+
+    @cached_property
+    def _pieces(self) -> list[tuple[slice, slice, FloatArray, FloatArray]]:
+        """Rows of each block and of what lies below it, and L in both."""
+        width, size = self._band.shape[0] - 1, self._band.shape[1]
+        pieces = []
+        for start in range(0, size, max(width, 1)):
+            end = min(start + max(width, 1), size)
+            last = min(end + width, size)
+            row, col = np.arange(start, last)[:, None], np.arange(start, end)
+            away = row - col
+            inside = (away >= 0) & (away <= width)
+            block = np.where(inside, self._band[np.clip(away, 0, width), col], 0.0)
+            part = slice(start, end), slice(end, last)
+            pieces.append((*part, np.asfortranarray(block[: end - start]), block[end - start :]))
+        return pieces
 
 
 def _scalars(a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:

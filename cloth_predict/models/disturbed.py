@@ -8,7 +8,33 @@ from typing import Protocol
 import numpy as np
 from scipy import sparse
 
-from cloth_predict.types import FloatArray, Linearised, StepSolver, StiffDynamics
+from cloth_predict.types import (
+    FloatArray,
+    Linearised,
+    Solver,
+    StiffDynamics,
+    Tangent,
+)
+
+
+class ForcedTangent(Tangent, Protocol):
+    """Derivative of a step on which forces [N], held over the step, act as well."""
+
+    def push(self, columns: FloatArray, force: FloatArray | float = 0.0) -> FloatArray:
+        """Return F C, for changes of the forces, shape (forces, m), as well."""
+
+    def pull_force(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return W F and the derivative of W x by the forces, shape (m, forces)."""
+
+
+class ForcedLinearised(Linearised, Protocol):
+    """A model at one state under forces [N], shape (forces,), besides its input."""
+
+    def change(self, dt: float, solver: Solver, force: FloatArray | float = 0.0) -> FloatArray:
+        """Change of the state in a step of dt [s], shape (dim_x,)."""
+
+    def tangent(self, dt: float, solver: Solver, change: FloatArray) -> ForcedTangent:
+        """Derivative of the step that makes this change."""
 
 
 class Forced(StiffDynamics, Protocol):
@@ -16,6 +42,9 @@ class Forced(StiffDynamics, Protocol):
 
     def jac_force(self) -> sparse.csr_array:
         """Derivative of f with respect to the forces, shape (dim_x, forces); constant."""
+
+    def linearise(self, x: FloatArray, u: FloatArray) -> ForcedLinearised:
+        """Return the model at (x, u)."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +86,6 @@ class Disturbed:
         self.model, self.process = model, process
         self.gain = model.jac_force()
         self.forces = int(self.gain.shape[1])
-        self._joined: _Joined | None = None
 
     @property
     def dim_x(self) -> int:
@@ -77,7 +105,18 @@ class Disturbed:
 
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f with respect to x, shape (dim_x, dim_x)."""
-        return self.join(self.model.jac(x[: self.model.dim_x], u))
+        order = len(self.process.drift)
+        rates = sparse.csr_array((self.gain.shape[0], (order - 1) * self.forces))
+        gain = sparse.hstack([self.gain, rates])
+        drift = sparse.kron(self.process.drift, sparse.eye(self.forces))
+        inner = self.model.jac(x[: self.model.dim_x], u)
+        return sparse.csr_array(sparse.bmat([[inner, gain], [None, drift]]))
+
+    def jac_input(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
+        """Derivative of f with respect to u, shape (dim_x, dim_u): that of the model."""
+        inner = self.model.jac_input(x[: self.model.dim_x], u)
+        still = sparse.csr_array((len(self.process.drift) * self.forces, self.dim_u))
+        return sparse.csr_array(sparse.vstack([inner, still]))
 
     def input_after(self, u: FloatArray, dt: float) -> FloatArray:
         """Input of the model dt [s] later."""
@@ -90,92 +129,72 @@ class Disturbed:
 
     def drift(self, process: FloatArray) -> FloatArray:
         """Time derivative of the forces and their rates, shape (order * forces,)."""
-        return np.asarray(self.process.drift @ process.reshape(-1, self.forces)).ravel()
+        return each(self.process.drift, process)
 
-    def join(self, inner: sparse.csr_array) -> sparse.csr_array:
-        """Return [[inner, G, 0], [0, drift]]."""
-        if self._joined is None or self._joined.inner_size != inner.nnz:
-            order = len(self.process.drift)
-            rates = sparse.csr_array((self.gain.shape[0], (order - 1) * self.forces))
-            gain = sparse.csr_array(sparse.hstack([self.gain, rates]))
-            drift = sparse.kron(self.process.drift, sparse.eye(self.forces))
-            self._joined = _Joined(inner, gain, sparse.csr_array(drift))
-        return self._joined.matrix(inner)
+    def decay(self, dt: float) -> FloatArray:
+        """Implicit step (I - dt drift)^-1 of one force and its rates, shape (order, order)."""
+        drift = self.process.drift
+        return np.asarray(np.linalg.inv(np.eye(len(drift)) - dt * drift))
 
 
 @dataclass(frozen=True)
 class _Linearised:
-    """A disturbed model at one state; see `types.Linearised`."""
+    """A disturbed model at one state: a force decays within a step and then acts on the model.
+
+    That is the implicit step of both together, as no force depends on the model. See
+    `types.Linearised`.
+    """
 
     model: Disturbed
-    inner: Linearised
+    inner: ForcedLinearised
     process: FloatArray
 
-    def increment(self, dt: float) -> FloatArray:
-        """Increment of the model under the forces, and of the forces."""
-        force = self.process[: self.model.forces]
-        pushed = self.inner.increment(dt) + dt * (self.model.gain @ force)
-        return np.concatenate([pushed, dt * self.model.drift(self.process)])
+    def solver(self, dt: float) -> Solver:
+        """Solver of the model's own step."""
+        return self.inner.solver(dt)
 
-    def solver(self, dt: float) -> _StepSolver:
-        """Solver of the implicit step."""
-        drift = self.model.process.drift
-        decay: FloatArray = np.linalg.inv(np.eye(len(drift)) - dt * drift).astype(float)
-        return _StepSolver(self.inner.solver(dt), dt * self.model.gain, decay)
+    def change(self, dt: float, solver: Solver) -> FloatArray:
+        """Change of the model under the forces, and of the forces."""
+        after = each(self.model.decay(dt), self.process)
+        moved = self.inner.change(dt, solver, after[: self.model.forces])
+        return np.concatenate([moved, after - self.process])
 
-    def step_slope(self, w: FloatArray, dt: float) -> sparse.csr_array:
-        """The forces enter linearly: only the model's part depends on w."""
-        return self.model.join(self.inner.step_slope(w[: self.model.model.dim_x], dt))
+    def tangent(self, dt: float, solver: Solver, change: FloatArray) -> _Tangent:
+        """Derivative of the step."""
+        model = self.model
+        inner = self.inner.tangent(dt, solver, change[: model.model.dim_x])
+        return _Tangent(inner, model.decay(dt), model.model.dim_x, model.forces)
 
 
 @dataclass(frozen=True)
-class _StepSolver:
-    """Solves with N = [[N_model, -dt G, 0], [0, I - dt drift]].
+class _Tangent:
+    """Derivative of the step of a disturbed model; see `types.Tangent`."""
 
-    gain = dt G; decay = (I - dt drift)^-1 of one force, shape (order, order).
-    """
-
-    inner: StepSolver
-    gain: sparse.csr_array
+    inner: ForcedTangent
     decay: FloatArray
+    size: int
+    forces: int
 
-    def __call__(self, b: FloatArray) -> FloatArray:
-        size, forces = self.gain.shape
-        process = self._each(self.decay, b[size:])
-        return np.concatenate([self.inner(b[:size] + self.gain @ process[:forces]), process])
+    def push(self, columns: FloatArray) -> FloatArray:
+        """Return F C."""
+        process = each(self.decay, columns[self.size :])
+        inner = self.inner.push(columns[: self.size], process[: self.forces])
+        return np.concatenate([inner, process])
 
-    def transposed(self, b: FloatArray) -> FloatArray:
-        """Return y of N' y = b, shape (dim_x, m)."""
-        size, forces = self.gain.shape
-        state = self.inner.transposed(b[:size])
-        process = b[size:].copy()
-        process[:forces] += self.gain.T @ state
-        return np.concatenate([state, self._each(self.decay.T, process)])
+    def pull(self, rows: FloatArray) -> FloatArray:
+        """Return W F."""
+        inner, force = self.inner.pull_force(rows[:, : self.size])
+        process = rows[:, self.size :].T.copy()
+        process[: self.forces] += force.T
+        return np.concatenate([inner, each(self.decay.T, process).T], axis=1)
 
-    @staticmethod
-    def _each(matrix: FloatArray, process: FloatArray) -> FloatArray:
-        """Apply a matrix of shape (order, order) to each force and its rates."""
-        return np.asarray(matrix @ process.reshape(len(matrix), -1)).reshape(process.shape)
+    def drive(self, inputs: FloatArray) -> FloatArray:
+        """Change of the state after the step with its inputs, on which no force depends."""
+        inner = self.inner.drive(inputs)
+        still = np.zeros((len(self.decay) * self.forces, inputs.shape[1]))
+        return np.concatenate([inner, still])
 
 
-class _Joined:
-    """The structure of the joined Jacobian, learnt once by numbering the entries of its parts."""
-
-    def __init__(
-        self, inner: sparse.csr_array, gain: sparse.csr_array, drift: sparse.csr_array
-    ) -> None:
-        self.inner_size = inner.nnz
-        self._outer = np.concatenate([gain.data, drift.data])
-        parts = []
-        count = 1
-        for part in (inner, gain, drift):
-            numbered = np.arange(count, count + part.nnz)
-            parts.append(sparse.csr_array((numbered, part.indices, part.indptr), part.shape))
-            count += part.nnz
-        joined = sparse.csr_array(sparse.bmat([[parts[0], parts[1]], [None, parts[2]]]))
-        self._take = joined.data - 1
-        self._indices, self._indptr, self._shape = joined.indices, joined.indptr, joined.shape
-
-    def matrix(self, inner: sparse.csr_array) -> sparse.csr_array:
-        values = np.concatenate([inner.data, self._outer])[self._take]
-        return sparse.csr_array((values, self._indices, self._indptr), shape=self._shape)
+def each(matrix: FloatArray, process: FloatArray) -> FloatArray:
+    """Apply a matrix of shape (order, order) to each force and its rates, (order forces, ...)."""
+    return np.asarray(matrix @ process.reshape(len(matrix), -1)).reshape(process.shape)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -48,6 +49,10 @@ class MassSpring:
         self.free = np.setdiff1d(np.arange(self.nodes), self.driven)
         self._i, self._j = springs.pairs[:, 0], springs.pairs[:, 1]
         self._inverse_mass = 1.0 / self.mass[self.free]
+        self._inverse_mass3 = np.repeat(self._inverse_mass, 3)
+        self._mass3 = np.repeat(self.mass[self.free], 3)
+        self._weight = np.outer(self.mass[self.free], self.gravity).ravel()
+        self._driven_ends = self._ends_of_driven()
         self._blocks = BlockStructure(springs.pairs, self.free, self.nodes)
         self._mass_blocks = self._blocks.diagonal(self.mass[self.free])
         damping = self._blocks.gather(springs.damping[:, None]) * np.eye(3).ravel()
@@ -110,6 +115,20 @@ class MassSpring:
         after[:size] += dt * u[size : 2 * size]
         return after
 
+    def jac_input(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
+        """Derivative of f with respect to u, shape (dim_x, dim_u)."""
+        s, count = self.springs, len(self.springs.pairs)
+        each, n = np.arange(count + 1), 3 * len(self.free)
+        stiffness = self._shape(x, u).stiffness(s, clamp=False).reshape(-1, 3, 3)
+        blocks = sparse.bsr_array((stiffness, each[:-1], each), shape=(3 * count, 3 * count))
+        ends = sparse.kron(sparse.csr_array(self._blocks.incidence), sparse.eye(3))
+        mass = sparse.diags(np.repeat(self._inverse_mass, 3))
+        pulled = -(mass @ ends @ blocks @ self._driven_ends)
+        damped = -(mass @ ends @ sparse.diags(np.repeat(s.damping, 3)) @ self._driven_ends)
+        still = sparse.csr_array((n, self.dim_u))
+        slope = sparse.hstack([pulled, damped, mass])
+        return sparse.csr_array(sparse.vstack([still, slope]))
+
     def jac_force(self) -> sparse.csr_array:
         """Derivative of f with respect to a force on each free node, shape (6 free, 3 free)."""
         n = 3 * len(self.free)
@@ -119,24 +138,33 @@ class MassSpring:
     def linearise(self, x: FloatArray, u: FloatArray) -> _Linearised:
         """Return what an implicit step needs at x, from one look at the geometry."""
         shape = self._shape(x, u)
-        size = 3 * len(self.driven)
-        driven = u[size : 2 * size].reshape(-1, 3)
-        return _Linearised(self, shape, self._f(x, u, shape), driven)
+        return _Linearised(self, shape, x[3 * len(self.free) :], self._force(u, shape))
 
     def _f(self, x: FloatArray, u: FloatArray, shape: _Shape) -> FloatArray:
-        s, n = self.springs, 3 * len(self.free)
+        n = 3 * len(self.free)
+        return np.concatenate([x[n:], self._force(u, shape) * self._inverse_mass3])
+
+    def _force(self, u: FloatArray, shape: _Shape) -> FloatArray:
+        """Force [N] on the free nodes, with their weight, shape (3 free,)."""
+        s = self.springs
         pull = -s.stiffness_at(shape.length) * (1.0 - s.rest_length / shape.length)
         force = pull[:, None] * shape.offset - s.damping[:, None] * shape.offset_rate
-        total = self._blocks.incidence @ force + u[6 * len(self.driven) :].reshape(-1, 3)
-        return np.concatenate(
-            [x[n:], (total * self._inverse_mass[:, None] + self.gravity).ravel()]
-        )
+        total = (self._blocks.incidence @ force).ravel() + u[6 * len(self.driven) :]
+        return np.asarray(total + self._weight)
 
     def _shape(self, x: FloatArray, u: FloatArray) -> _Shape:
         position, velocity = self.surface(x, u)
         offset = position[self._i] - position[self._j]
         length = np.maximum(np.sqrt(np.einsum('si,si->s', offset, offset)), SHORTEST)
         return _Shape(offset, velocity[self._i] - velocity[self._j], length)
+
+    def _ends_of_driven(self) -> sparse.csr_array:
+        """Offsets of the springs by the positions of the driven nodes, (3 springs, 3 driven)."""
+        ends = np.zeros((len(self.springs.pairs), self.nodes))
+        each = np.arange(len(ends))
+        ends[each, self._i] += 1.0
+        ends[each, self._j] -= 1.0
+        return sparse.csr_array(sparse.kron(ends[:, self.driven], np.eye(3)))
 
     def _weighted(self, blocks: FloatArray) -> FloatArray:
         return np.asarray(blocks * self._inverse_mass[self._blocks.a][:, None])
@@ -173,11 +201,6 @@ class _Shape:
         blocks[:, ::4] += across[:, None]
         return blocks
 
-    def resistance(self, springs: Springs, change: FloatArray) -> FloatArray:
-        """Force [N] of the clamped blocks against a change of offsets [m], both (springs, 3)."""
-        blocks = self.stiffness(springs, clamp=True).reshape(-1, 3, 3)
-        return np.asarray(-np.einsum('sij,sj->si', blocks, change))
-
     def stiffness_change(self, springs: Springs, w: FloatArray) -> FloatArray:
         """Derivative of the clamped block times w, (springs, 3), by the offset, (springs, 9).
 
@@ -199,76 +222,99 @@ class _Shape:
 
 @dataclass(frozen=True)
 class _Linearised:
-    """A surface at one state; see `types.Linearised`."""
+    """A surface at one state; see `types.Linearised`.
+
+    velocity [m/s] of the free nodes and force [N] on them, each of shape (3 free,).
+    """
 
     model: MassSpring
     shape: _Shape
-    slope: FloatArray
-    driven_velocity: FloatArray
+    velocity: FloatArray
+    force: FloatArray
 
-    def increment(self, dt: float) -> FloatArray:
-        """Return dt (f + dt df/du u'): the driven nodes move on within the step."""
-        if not self.driven_velocity.any():
-            return dt * self.slope
-        m, n = self.model, 3 * len(self.model.free)
-        force = self.shape.resistance(m.springs, self._spring_change(np.zeros(n), dt))
-        increment = dt * self.slope
-        pulled = (m._blocks.incidence @ force) * m._inverse_mass[:, None]
-        increment[n:] += dt * pulled.ravel()
-        return increment
-
-    def _spring_change(self, w: FloatArray, dt: float) -> FloatArray:
-        """Change of the offsets [m], (springs, 3), in a step that changes the state by w."""
-        m = self.model
-        change = np.zeros((m.nodes, 3))
-        change[m.free] = w[: 3 * len(m.free)].reshape(-1, 3)
-        change[m.driven] = dt * self.driven_velocity
-        return change[m._i] - change[m._j]
-
-    def solver(self, dt: float) -> _StepSolver:
-        """Solver of an implicit step: (3.32) multiplied by the masses, by a Cholesky factor.
+    def solver(self, dt: float) -> Solver:
+        """Solver of A = M - dt^2 K - dt D, by its Cholesky factor; b has shape (3 free, m).
 
         The geometric stiffness of a compressed spring is negative and can make the matrix
         indefinite: there it is left out (1 - r/l clamped at 0), which keeps the matrix positive
         definite for every state.
         """
         m, blocks = self.model, self.model._blocks
-        stiffness = blocks.gather(self.shape.stiffness(m.springs, clamp=True))
-        matrix = m._mass_blocks - dt**2 * stiffness - dt * m._damping_blocks
-        mass = np.repeat(m.mass[m.free], 3)[:, None]
-        return _StepSolver(dt, mass, blocks.matrix(stiffness), blocks.cholesky(matrix))
+        stiffness = blocks.gather(self._clamped)
+        return blocks.cholesky(m._mass_blocks - dt**2 * stiffness - dt * m._damping_blocks)
 
-    def step_slope(self, w: FloatArray, dt: float) -> sparse.csr_array:
-        """J(x) and the derivative of J~(x) w for a fixed w, added up, shape (dim_x, dim_x)."""
-        m, blocks = self.model, self.model._blocks
-        springs = self.shape.stiffness(m.springs, clamp=False)
-        springs += self.shape.stiffness_change(m.springs, self._spring_change(w, dt))
-        return blocks.state_matrix(m._weighted(blocks.gather(springs)), m._jav)
+    def change(self, dt: float, solver: Solver, force: FloatArray | float = 0.0) -> FloatArray:
+        """Change of the state in a step (Gomes 2016, eq. 3.32); the driven nodes move on in it.
+
+        force [N]: further one on the free nodes, shape (3 free,).
+        """
+        blocks = self._clamped.reshape(-1, 3, 3)
+        resistance = np.einsum('sij,sj->si', blocks, self.shape.offset_rate)
+        pulled = (self.model._blocks.incidence @ resistance).ravel()
+        faster = solver(dt * (self.force + force) - dt**2 * pulled)
+        return np.concatenate([dt * (self.velocity + faster), faster])
+
+    def tangent(self, dt: float, solver: Solver, change: FloatArray) -> MechanicalTangent:
+        """Derivative of the step, through the change of the matrix with the state too."""
+        m, n = self.model, 3 * len(self.model.free)
+        moved = dt * self.shape.offset_rate
+        faster = np.zeros((m.nodes, 3))
+        faster[m.free] = change[n:].reshape(-1, 3)
+        moved += dt * (faster[m._i] - faster[m._j])
+        slope = self.shape.stiffness(m.springs, clamp=False)
+        slope += self.shape.stiffness_change(m.springs, moved)
+        return MechanicalTangent(self, dt, solver, slope)
+
+    @cached_property
+    def _clamped(self) -> FloatArray:
+        return self.shape.stiffness(self.model.springs, clamp=True)
 
 
-@dataclass(frozen=True)
-class _StepSolver:
-    """Solves with N = [[I, -dt I], [-dt M^-1 K, I - dt M^-1 D]] through A = M - dt^2 K - dt D.
+class MechanicalTangent:
+    """Derivative of the implicit step of a surface, through A y = M v + dt S p + dt F.
 
-    mass [kg], shape (3 free, 1); stiffness K, the derivative of the forces by the positions;
-    solve, with A.
+    S, shape (3 free, 3 free), is the derivative of the forces, the clamped ones over the step
+    included, by the positions; y the velocity after the step. See `types.Tangent`.
     """
 
-    dt: float
-    mass: FloatArray
-    stiffness: sparse.bsr_array
-    solve: Solver
+    def __init__(self, at: _Linearised, dt: float, solver: Solver, slope: FloatArray) -> None:
+        """Take S of each spring, shape (springs, 9)."""
+        blocks = at.model._blocks
+        self._at, self._dt, self._solver, self._springs = at, dt, solver, slope
+        self._slope = blocks.matrix(blocks.gather(slope))
+        self._mass = at.model._mass3[:, None]
 
-    def __call__(self, b: FloatArray) -> FloatArray:
-        n = len(self.mass)
-        columns = b.reshape(2 * n, -1)
-        y = np.empty_like(columns)
-        y[n:] = self.solve(self.mass * columns[n:] + self.dt * (self.stiffness @ columns[:n]))
-        y[:n] = columns[:n] + self.dt * y[n:]
-        return y.reshape(b.shape)
+    def push(self, columns: FloatArray, force: FloatArray | float = 0.0) -> FloatArray:
+        """Return F C, shape (dim_x, m), for changes of the force [N], (3 free, m), as well."""
+        n, dt = len(self._mass), self._dt
+        position, velocity = columns[:n], columns[n:]
+        after = self._solver(self._mass * velocity + dt * (self._slope @ position + force))
+        return np.concatenate([position + dt * after, after])
 
-    def transposed(self, b: FloatArray) -> FloatArray:
-        """Return y of N' y = b, shape (6 free, m); K and A are symmetric."""
-        n = len(self.mass)
-        both = self.solve(b[n:] + self.dt * b[:n])
-        return np.concatenate([b[:n] + self.dt * (self.stiffness @ both), self.mass * both])
+    def pull(self, rows: FloatArray) -> FloatArray:
+        """Return W F, shape (m, dim_x)."""
+        return self.pull_force(rows)[0]
+
+    def pull_force(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return W F and the derivative of W x by the force [N], shapes (m, dim_x), (m, n)."""
+        n, dt = len(self._mass), self._dt
+        both = self._solver((rows[:, n:] + dt * rows[:, :n]).T)
+        position = rows[:, :n] + dt * (self._slope.T @ both).T
+        return np.concatenate([position, (self._mass * both).T], axis=1), dt * both.T
+
+    def drive(self, inputs: FloatArray) -> FloatArray:
+        """Change of the state after the step with the driven nodes and the forces on the free."""
+        m, dt = self._at.model, self._dt
+        size, columns = 3 * len(m.driven), inputs.shape[1]
+        still = np.zeros((m.dim_x, columns))
+        if not size:
+            return self.push(still, inputs)  # forces alone
+        offset, rate = (
+            (m._driven_ends @ part).reshape(-1, 3, columns)
+            for part in (inputs[:size], inputs[size : 2 * size])
+        )
+        clamped = self._at._clamped.reshape(-1, 3, 3)
+        pull = self._springs.reshape(-1, 3, 3) @ offset
+        pull += dt * clamped @ rate + m.springs.damping[:, None, None] * rate
+        total = np.asarray(m._blocks.incidence @ pull.reshape(len(pull), -1))
+        return self.push(still, inputs[2 * size :] - total.reshape(-1, columns))
