@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.filters.kinematic import KinematicTrack
-from cloth_predict.types import BoolArray, FloatArray, IntArray
+from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.types import BoolArray, Dynamics, FloatArray, IntArray
 
 
 class DrivenNodes:
@@ -20,6 +22,8 @@ class DrivenNodes:
     def __init__(self, config: Config, nodes: IntArray, surface: FloatArray) -> None:
         """Start at `surface` [m], shape (nodes, 3)."""
         self.nodes = nodes
+        self._integrator = INTEGRATORS[config.filter.integrator]
+        self._moving = bool(len(nodes)) and config.anchors.motion != 'fixed'
         self._tracks = [
             KinematicTrack(
                 config.anchors.motion,
@@ -33,8 +37,8 @@ class DrivenNodes:
 
     def copy(self) -> DrivenNodes:
         """Return a copy that can be moved on by itself."""
-        other = object.__new__(DrivenNodes)
-        other.nodes, other._tracks = self.nodes, [track.copy() for track in self._tracks]
+        other = copy.copy(self)
+        other._tracks = [track.copy() for track in self._tracks]
         return other
 
     def advance(self, dt: float) -> None:
@@ -60,6 +64,27 @@ class DrivenNodes:
         return [
             (at[k], (at[k + 1] - at[k]) / (times[k + 1] - times[k])) for k in range(len(at) - 1)
         ]
+
+    def spread(
+        self, model: Dynamics, mean: FloatArray, inputs: Sequence[FloatArray], dt: float
+    ) -> FloatArray:
+        """What the state owes to the errors of the extrapolation, shape (dim_x, columns).
+
+        S S' is the covariance of the state after one step of dt [s] per input that comes from not
+        knowing where the driven nodes go. The error of a coordinate is taken to keep its sign and
+        to grow as its standard deviation does.
+        """
+        count = 3 * len(self.nodes)
+        spread = np.zeros((model.dim_x, count))
+        if not self._moving or not inputs:
+            return spread[:, :0]
+        sigma = np.sqrt([self.variances(k * dt) for k in range(len(inputs) + 1)]).repeat(3, axis=1)
+        change = np.zeros((model.dim_u, count))
+        for u, now, then in zip(inputs, sigma[:-1], sigma[1:], strict=True):
+            mean, tangent = self._integrator.step_tangent(model, mean, u, dt)
+            change[:count], change[count : 2 * count] = np.diag(now), np.diag((then - now) / dt)
+            spread = tangent.push(spread) + tangent.drive(change)
+        return spread
 
     def variances(self, ahead: float) -> FloatArray:
         """Variance [m^2] of a coordinate of the positions after `ahead` [s], shape (driven,)."""

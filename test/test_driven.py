@@ -1,0 +1,83 @@
+"""Driven nodes: their path, and what their uncertainty does to the free ones."""
+
+import numpy as np
+import pytest
+from references import random_surface
+
+from cloth_predict.config import build
+from cloth_predict.driven import DrivenNodes
+from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.models.disturbed import Disturbed
+
+DT = 0.01
+
+
+def settings(motion, integrator='implicit_euler'):
+    noise = 0.0 if motion == 'fixed' else 3.0
+    return build(
+        {
+            'anchors': {'motion': motion, 'process_noise': noise},
+            'filter': {'integrator': integrator, 'measurement_noise': 1e-4},
+        },
+        'test',
+    )
+
+
+def followed(config, nodes, surface, frames=30):
+    driven = DrivenNodes(config, nodes, surface)
+    rng = np.random.default_rng(3)
+    for _ in range(frames):
+        driven.advance(DT)
+        driven.update(surface + rng.normal(0, 1e-4, surface.shape), np.ones(len(surface), bool))
+    return driven
+
+
+@pytest.mark.parametrize('integrator', ['implicit_euler', 'rk4'])
+def test_spread_is_the_change_with_a_path_that_errs(integrator):
+    mesh, x, u = random_surface(np.random.default_rng(1), 4, 3, (0, 2))
+    model, x = Disturbed(mesh, 0.3), np.append(x, np.zeros(30))
+    config = settings('constant_velocity', integrator)
+    surface = mesh.surface(x, u)[0]
+    driven = followed(config, mesh.driven, surface)
+    times = [k * 0.005 for k in range(11)]
+    path = driven.path(times)
+    spread = driven.spread(model, x, [mesh.input(*part) for part in path], 0.005)
+    assert spread.shape == (model.dim_x, 6)
+
+    def end(column, size):
+        """State at the end where one coordinate errs by `size` standard deviations."""
+        offset = np.zeros((11, 2, 3))
+        sigma = np.sqrt([driven.variances(time) for time in times])
+        offset[:, column // 3, column % 3] = size * sigma[:, column // 3]
+        y = x
+        for k, (position, velocity) in enumerate(path):
+            rate = velocity + (offset[k + 1] - offset[k]) / 0.005
+            y = INTEGRATORS[integrator].step(
+                model, y, mesh.input(position + offset[k], rate), 0.005
+            )
+        return y
+
+    for column in range(6):
+        expected = (end(column, 0.01) - end(column, -0.01)) / 0.02
+        # the third derivative over a hundredth of a sigma
+        np.testing.assert_allclose(spread[:, column], expected, atol=1e-4 * np.abs(expected).max())
+    assert np.abs(spread[:30]).max() > 1e-3  # m; the neighbours feel it
+
+
+def test_fixed_nodes_spread_nothing():
+    mesh, x, u = random_surface(np.random.default_rng(1), 3, 3, (0, 2))
+    driven = followed(settings('fixed'), mesh.driven, mesh.surface(x, u)[0])
+    assert driven.spread(mesh, x, [u, u], DT).shape == (mesh.dim_x, 0)
+
+
+def test_a_copy_moves_on_by_itself():
+    mesh, x, u = random_surface(np.random.default_rng(1), 3, 3, (0, 2))
+    surface = mesh.surface(x, u)[0]
+    driven = followed(settings('constant_velocity'), mesh.driven, surface)
+    before = driven.extrapolate(0.1), driven.variances(0.1)
+    other = driven.copy()
+    other.advance(0.5)
+    other.update(surface + 1.0, np.ones(9, bool))
+    np.testing.assert_array_equal(driven.extrapolate(0.1), before[0])
+    np.testing.assert_array_equal(driven.variances(0.1), before[1])
+    assert np.abs(other.extrapolate(0.1) - before[0]).max() > 0.1
