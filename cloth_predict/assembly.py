@@ -6,11 +6,16 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from cloth_predict import topology
 from cloth_predict.config import Config, ModelConfig
 from cloth_predict.models.disturbed import Disturbed, ForceProcess
 from cloth_predict.models.mass_spring import MassSpring
-from cloth_predict.models.springs import grid_pairs, grid_springs
-from cloth_predict.types import BoolArray, FloatArray, Gaussian
+from cloth_predict.models.springs import mesh_springs
+from cloth_predict.topology import Topology, adjacency
+from cloth_predict.types import BoolArray, FloatArray, Gaussian, IntArray
+
+LOOSE_END = 1e-3
+"""Weight of the bending at a node with one neighbour."""
 
 
 def rest_shape(model: ModelConfig) -> FloatArray:
@@ -22,49 +27,105 @@ def rest_shape(model: ModelConfig) -> FloatArray:
     return grid.reshape(-1, 3)
 
 
-def build_mass_spring(config: Config, surface: FloatArray) -> MassSpring:
-    """Build the configured model; `surface` [m], shape (nodes, 3), gives measured rest lengths."""
+def topology_of(model: ModelConfig, surface: FloatArray) -> Topology:
+    """Return which nodes are joined; `surface` [m], shape (nodes, 3), is what is triangulated."""
+    if model.topology == 'delaunay':
+        return topology.delaunay(surface)
+    if model.topology == 'edges':
+        return topology.of_edges(model.nodes, np.reshape(model.edges, (-1, 2)))
+    return topology.grid(model.rows, model.cols)
+
+
+def build_mass_spring(
+    config: Config,
+    surface: FloatArray,
+    joined: Topology | None = None,
+    rest_length: FloatArray | None = None,
+) -> MassSpring:
+    """Build the configured model.
+
+    surface [m], shape (nodes, 3): what is not given is taken from it. joined: which nodes are;
+    rest_length [m], shape (springs,).
+    """
     model = config.model
-    shape = rest_shape(model) if model.rest_length == 'dimensions' else surface
+    joined = topology_of(model, surface) if joined is None else joined
+    if model.rest_length == 'dimensions':
+        rest_length = lengths_of(joined.pairs, rest_shape(model))
+    elif rest_length is None:
+        rest_length = lengths_of(joined.pairs, surface)
     stiffness = {
         'structural': model.stiffness_structural,
         'shear': model.stiffness_shear,
         'flexion': model.stiffness_flexion,
     }
-    springs = grid_springs(
-        model.rows, model.cols, shape, stiffness, model.damping, model.compression
+    springs = mesh_springs(
+        joined.families, rest_length, stiffness, model.damping, model.compression
     )
-    nodes = model.rows * model.cols
-    mass = np.full(nodes, model.mass / nodes)
+    mass = np.full(model.count, model.mass / model.count)
     return MassSpring(springs, mass, config.anchors.nodes, model.gravity)
 
 
+def lengths_of(pairs: IntArray, positions: FloatArray) -> FloatArray:
+    """Distances [m] of pairs of nodes, shape (..., pairs), of positions [m], (..., nodes, 3)."""
+    return np.asarray(
+        np.linalg.norm(positions[..., pairs[:, 0], :] - positions[..., pairs[:, 1], :], axis=-1)
+    )
+
+
 def complete(
-    model: ModelConfig, positions: FloatArray, visible: BoolArray
+    model: ModelConfig,
+    positions: FloatArray,
+    visible: BoolArray,
+    joined: Topology | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Fill in the nodes that are not visible.
 
-    The rest shape is laid onto the visible nodes, and its displacement from them carried on to the
-    hidden ones as the mean of their neighbours'. Returns positions [m], shape (nodes, 3), and a
-    standard deviation [m], shape (nodes,): zero where measured, the length of the shortest side of
-    a cell where filled in.
+    On a grid the rest shape is laid onto the visible nodes, and its displacement from them carried
+    on to the hidden ones as the mean of their neighbours'. On a mesh, which has no shape of its
+    own, the surface is the smoothest through the visible nodes. Returns positions [m], shape
+    (nodes, 3), and a standard deviation [m], shape (nodes,): zero where measured, the length of an
+    edge where filled in.
     """
     spread = np.zeros(len(positions))
     if visible.all():
         return positions, spread
-    shape = rest_shape(model)
-    laid = aligned(shape, positions, visible)
-    pairs = grid_pairs(model.rows, model.cols)['structural']
-    i, j = pairs.T
-    graph = sparse.coo_array((np.ones(len(pairs)), (i, j)), shape=(len(positions),) * 2)
-    laplacian = sparse.csr_array(sparse.csgraph.laplacian(graph + graph.T))
-    hidden, seen = np.flatnonzero(~visible), np.flatnonzero(visible)
-    right = -(laplacian[hidden][:, seen] @ (positions[seen] - laid[seen]))
-    carried = spsolve(sparse.csc_array(laplacian[hidden][:, hidden]), right).reshape(-1, 3)
+    joined = topology_of(model, positions) if joined is None else joined
     filled = positions.copy()
-    filled[hidden] = laid[hidden] + carried
-    spread[hidden] = np.linalg.norm(shape[i] - shape[j], axis=1).min()
+    if model.topology == 'grid':
+        shape = rest_shape(model)
+        laid = aligned(shape, positions, visible)
+        carried = _carried_on(joined.edges, positions - laid, visible)
+        filled[~visible] = laid[~visible] + carried
+        spread[~visible] = lengths_of(joined.edges, shape).min()
+    else:
+        filled[~visible] = _smoothest(joined.edges, positions, visible)
+        spread[~visible] = np.median(lengths_of(joined.edges, filled))
     return filled, spread
+
+
+def _carried_on(edges: IntArray, values: FloatArray, visible: BoolArray) -> FloatArray:
+    """Values of the hidden nodes that are the mean of their neighbours', shape (hidden, 3)."""
+    laplacian = sparse.csr_array(sparse.csgraph.laplacian(adjacency(len(values), edges)))
+    hidden, seen = np.flatnonzero(~visible), np.flatnonzero(visible)
+    right = -(laplacian[hidden][:, seen] @ values[seen])
+    return np.asarray(spsolve(sparse.csc_array(laplacian[hidden][:, hidden]), right)).reshape(
+        -1, 3
+    )
+
+
+def _smoothest(edges: IntArray, positions: FloatArray, visible: BoolArray) -> FloatArray:
+    """Positions [m] of the hidden nodes, (hidden, 3), with the least bending of the surface.
+
+    Bending is the distance of each node from the mean of its neighbours, squared. At the end of a
+    chain it hardly counts, so that a straight one goes on straight.
+    """
+    laplacian = sparse.csgraph.laplacian(adjacency(len(positions), edges))
+    neighbours = laplacian.diagonal()
+    weight = np.where(neighbours > 1, 1.0, LOOSE_END) / neighbours
+    scaled = sparse.csr_array(sparse.diags_array(weight) @ laplacian)
+    free, held = scaled[:, np.flatnonzero(~visible)], scaled[:, np.flatnonzero(visible)]
+    right = -(free.T @ (held @ positions[visible]))
+    return np.asarray(spsolve(sparse.csc_array(free.T @ free), right)).reshape(-1, 3)
 
 
 def aligned(shape: FloatArray, positions: FloatArray, visible: BoolArray) -> FloatArray:

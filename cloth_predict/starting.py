@@ -5,22 +5,35 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from cloth_predict.assembly import (
     build_mass_spring,
     complete,
     disturbed,
     first_belief,
+    lengths_of,
     process_noise,
+    topology_of,
 )
+from cloth_predict.calibration import Calibration, Frame, filled_in, median_lengths
 from cloth_predict.config import Config
 from cloth_predict.driven import DrivenNodes
+from cloth_predict.errors import FrameError
 from cloth_predict.filters.family import build_filter
+from cloth_predict.labelling import follow, label
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
+from cloth_predict.topology import Topology
 from cloth_predict.types import Belief, BoolArray, Filter, FloatArray
 
 FEWEST_TO_START = 3
 """Visible nodes without which the first surface would be a guess."""
+PAUSE = 250_000_000
+"""Nanoseconds after which a failed search for the nodes among unlabelled points, which takes as
+long as many frames, is tried again."""
+MOST_NAMED = 4
+"""Nodes that a reason names one by one."""
 
 
 @dataclass(frozen=True)
@@ -33,13 +46,23 @@ class Start:
     filter: Filter[Any]
     driven: DrivenNodes
     belief: Belief
+    topology: Topology
 
 
 class Starter:
-    """Takes frames until there is enough to start from."""
+    """Takes frames until there is enough to start from; `reason` says in a line what it lacks.
+
+    One that is kept over a restart need not calibrate again, if the markers have labels.
+    """
 
     def __init__(self, config: Config) -> None:
+        self.reason = 'no frame yet'
         self._config = config
+        self._calibration = Calibration(config.model.calibration)
+        self._topology: Topology | None = None
+        self._rest_length: FloatArray | None = None
+        self._failure: tuple[int, str] | None = None
+        """When [ns] and why the nodes were last not found among unlabelled points."""
 
     def offer(
         self, stamp: int, positions: FloatArray, visible: BoolArray, points: FloatArray
@@ -49,14 +72,122 @@ class Starter:
         stamp [ns]; positions [m], shape (nodes, 3), and visible, shape (nodes,), of the labelled
         markers; points [m], shape (m, 3), of those without a label.
         """
-        config, driven = self._config, list(self._config.anchors.nodes)
-        if visible.sum() < min(FEWEST_TO_START, len(visible)) or not visible[driven].all():
+        if self._calibration.running and not self._follows(stamp):
             return None
-        surface, spread = complete(config.model, positions, visible)
-        mesh = build_mass_spring(config, surface)
-        model, noise = disturbed(config, mesh), process_noise(config, mesh)
-        nodes = DrivenNodes(config, mesh.driven, surface)
-        chosen = build_filter(config, mesh)
-        prior, held = first_belief(config, mesh, surface, spread), nodes.extrapolate(0.0)
-        belief = chosen.start(prior, model, mesh.input(held[0], held[1]), noise)
-        return Start(mesh, model, noise, chosen, nodes, belief)
+        try:
+            frame = self._labelled(Frame(stamp, positions, visible), points)
+            start = self._started(frame)
+        except FrameError as error:
+            self.reason = str(error)
+            return None
+        self.reason = ''
+        self._calibration = Calibration(self._config.model.calibration)
+        if not visible.any():  # next time the numbering may be another
+            self._topology = self._rest_length = None
+        return start
+
+    def _follows(self, stamp: int) -> bool:
+        """Whether a frame lies after those collected; forgets them where time has jumped."""
+        since, settings = self._calibration.since(stamp), self._config.filter
+        if since > settings.max_gap or since < -settings.max_backstep:
+            self._calibration, self._topology = Calibration(self._calibration.duration), None
+            return True
+        return since > 0
+
+    def _labelled(self, frame: Frame, points: FloatArray) -> Frame:
+        """Find hidden nodes among the points. Raises FrameError where it cannot do without."""
+        if not len(points) or frame.visible.all():
+            return frame
+        if self._calibration.running and self._topology is not None:
+            last, edges = self._calibration.last, self._topology.edges
+            return Frame(frame.stamp, *follow(last, edges, *frame[1:], points))
+        try:
+            return self._searched(frame, points)
+        except FrameError:
+            if self._lack(frame):
+                raise
+            return frame
+
+    def _searched(self, frame: Frame, points: FloatArray) -> Frame:
+        if self._failure and 0 <= frame.stamp - self._failure[0] < PAUSE:
+            raise FrameError(self._failure[1])
+        try:
+            found = label(self._config.model, *frame[1:], points)
+        except FrameError as error:
+            self._failure = frame.stamp, str(error)
+            raise
+        self._failure = None
+        return Frame(frame.stamp, *found)
+
+    def _started(self, frame: Frame) -> Start:
+        """Start at a frame. Raises FrameError that says what is lacking."""
+        if not self._calibration.running:
+            self._require(frame)
+        if self._topology is None:
+            self._topology = topology_of(self._config.model, frame.positions)
+        joined = self._topology
+        surface, spread = complete(self._config.model, frame.positions, frame.visible, joined)
+        lengths = self._lengths(frame, joined, surface)
+        self._require(frame)
+        return _built(self._config, surface, spread, joined, lengths)
+
+    def _lengths(self, frame: Frame, joined: Topology, surface: FloatArray) -> FloatArray:
+        """Rest lengths [m], shape (springs,). Raises FrameError while calibrating."""
+        model, pairs, known = self._config.model, joined.pairs, self._rest_length
+        if model.rest_length == 'calibrated':
+            known = self._calibrated(frame, joined, surface) if known is None else known
+            self._rest_length = known
+        else:
+            known = median_lengths(pairs, frame.positions[None], frame.visible[None])
+        if model.topology == 'grid':  # hidden nodes were filled in by the shape of the grid
+            return np.where(np.isnan(known), lengths_of(pairs, surface), known)
+        return filled_in(known, joined, surface)
+
+    def _calibrated(self, frame: Frame, joined: Topology, surface: FloatArray) -> FloatArray:
+        collected = self._calibration
+        if collected.running:
+            collected.add(frame)
+        else:
+            collected.begin(frame, surface)
+        if not collected.complete:
+            raise FrameError(f'calibrating: {collected.elapsed:.2f} of {collected.duration:g} s')
+        self._require(frame)
+        return collected.lengths(joined.pairs)
+
+    def _require(self, frame: Frame) -> None:
+        if lack := self._lack(frame):
+            raise FrameError(lack)
+
+    def _lack(self, frame: Frame) -> str:
+        """Return what a frame lacks to start from it, or nothing."""
+        seen, hidden = int(frame.visible.sum()), np.flatnonzero(~frame.visible)
+        driven = np.intersect1d(hidden, self._config.anchors.nodes)
+        count = f'{seen} of {self._config.model.name} seen'
+        if len(driven):
+            return f'{count}, waiting for the driven {self._named(driven.tolist())}'
+        if self._config.model.topology == 'delaunay' and self._topology is None and len(hidden):
+            return f'{count}, waiting for {self._named(hidden.tolist())}'
+        fewest = min(FEWEST_TO_START, len(frame.visible))
+        return f'{count}, waiting for {fewest}' if seen < fewest else ''
+
+    def _named(self, nodes: list[int]) -> str:
+        names = [self._config.labels[n] if self._config.labels else str(n) for n in nodes]
+        more = [f'{len(names) - MOST_NAMED} more'] if len(names) > MOST_NAMED else []
+        return ('nodes ' if len(names) > 1 else 'node ') + ', '.join(names[:MOST_NAMED] + more)
+
+
+def _built(
+    config: Config,
+    surface: FloatArray,
+    spread: FloatArray,
+    joined: Topology,
+    lengths: FloatArray,
+) -> Start:
+    """Model, filter and belief at rest at a surface [m], shape (nodes, 3), of known spread."""
+    mesh = build_mass_spring(config, surface, joined, lengths)
+    model, noise = disturbed(config, mesh), process_noise(config, mesh)
+    nodes = DrivenNodes(config, mesh.driven, surface)
+    chosen = build_filter(config, mesh)
+    prior, held = first_belief(config, mesh, surface, spread), nodes.extrapolate(0.0)
+    belief = chosen.start(prior, model, mesh.input(held[0], held[1]), noise)
+    return Start(mesh, model, noise, chosen, nodes, belief, joined)
