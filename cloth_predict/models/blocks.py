@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from cloth_predict.types import FloatArray, IntArray, Solver
@@ -143,15 +143,14 @@ class BandSolver:
         )
         return y
 
-    def _blockwise(self, b: FloatArray) -> FloatArray:
-        """Solve block by block, forwards with L and back with L'."""
-        y = b.copy()
+    def _blockwise(self, y: FloatArray) -> FloatArray:
+        """Solve block by block, forwards with L and back with L'; writes into y, C-contiguous."""
         for here, below, diagonal, lower in self._pieces:
-            y[here] = lapack.dtrtrs(diagonal, y[here], lower=1)[0]
+            _solve_rows(diagonal, y[here], transposed=False)
             y[below] -= lower @ y[here]
         for here, below, diagonal, lower in reversed(self._pieces):
             y[here] -= lower.T @ y[below]
-            y[here] = lapack.dtrtrs(diagonal, y[here], lower=1, trans=1)[0]
+            _solve_rows(diagonal, y[here], transposed=True)
         return y
 
     @cached_property
@@ -169,6 +168,11 @@ class BandSolver:
             part = slice(start, end), slice(end, last)
             pieces.append((*part, np.asfortranarray(block[: end - start]), block[end - start :]))
         return pieces
+
+
+def _solve_rows(lower: FloatArray, y: FloatArray, transposed: bool) -> None:
+    """Replace y by L^-1 y, or by L'^-1 y; as y' L' or y' L, since y' is Fortran-contiguous."""
+    blas.dtrsm(1.0, lower, y.T, side=1, lower=1, trans_a=int(not transposed), overwrite_b=1)
 
 
 def _scalars(a: IntArray, b: IntArray) -> tuple[IntArray, IntArray]:
