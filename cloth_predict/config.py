@@ -159,6 +159,8 @@ class FilterConfig:
             'least_squares',
             'recursive_least_squares',
             'gomes2016',
+            'fixed_gain',
+            'reduced_rank',
         ),
     )
     integrator: str = param(
@@ -180,8 +182,9 @@ class FilterConfig:
         0.5, 'standard deviation of the velocity at the start', 'm/s', low=0
     )
     ukf_alpha: float = param(
-        1e-3,
-        'ukf: reach of the sigma points, in sqrt(states) standard deviations',
+        0.1,
+        'ukf: reach of the sigma points, in sqrt(states) standard deviations; where it is small, '
+        'rounding can cost the covariance its sign',
         low=1e-4,
         high=1,
     )
@@ -196,6 +199,11 @@ class FilterConfig:
         'recursive_least_squares: time constant of the weight of past measurements',
         's',
         above=0,
+    )
+    rank: int = param(
+        4,
+        'reduced_rank: spatial modes with a full covariance; the rest has one for each node',
+        low=1,
     )
     max_gap: float = param(
         1.0, 'interval between frames after which the filter starts anew', 's', above=0
@@ -223,7 +231,10 @@ class AssociationConfig:
         True, 'put swapped labels right, and hide markers that are at no node'
     )
     gate: float = param(
-        0.999999, 'share of the true markers that is inside the gate of its node', above=0, high=1
+        0.999999,
+        'share of the true markers that is inside the gate of its node',
+        above=0,
+        high=0.999999999,
     )
     slack: float = param(
         0.003,
@@ -244,16 +255,20 @@ class AssociationConfig:
 
 @dataclass(frozen=True)
 class LimitsConfig:
-    """From where on a prediction is doubtful, and from where on there is none.
-
-    Sigma is the root mean square over the free nodes, of a coordinate of the prediction.
-    """
+    """From where on a prediction is doubtful, and from where on there is none."""
 
     min_visible: int = param(
         3, 'warn of fewer markers than this: three fix a rigid motion', low=0
     )
-    sigma_warn: float = param(0.02, 'warn of a prediction with a larger sigma', 'm', above=0)
-    sigma_error: float = param(0.05, 'no prediction with a larger sigma', 'm', above=0)
+    sigma_warn: float = param(
+        0.02,
+        'warn of a larger sigma of a prediction (root mean square over the free nodes)',
+        'm',
+        above=0,
+    )
+    sigma_error: float = param(
+        0.05, 'make no prediction whose sigma would be larger than this', 'm', above=0
+    )
 
 
 @dataclass(frozen=True)

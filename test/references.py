@@ -89,6 +89,23 @@ def kalman_update(x, P, H, R, z):
     return x + K @ (z - H @ x), rest @ P @ rest.T + K @ R @ K.T
 
 
+def trapezoid(F, noise):
+    """Covariance of the noise of a step: half of it before and half after."""
+    return F @ np.diag(noise / 2) @ F.T + np.diag(noise / 2)
+
+
+def selection(rows, size):
+    """H as a matrix, from the rows that it selects."""
+    H = np.zeros((len(rows), size))
+    H[np.arange(len(rows)), rows] = 1.0
+    return H
+
+
+def random_covariance(rng, size):
+    root = rng.normal(size=(size, 2 * size))
+    return root @ root.T / (2 * size)
+
+
 # --- numbers about functions
 
 

@@ -8,8 +8,11 @@ from references import (
     damped_oscillators,
     kalman_predict,
     kalman_update,
+    random_covariance,
     random_surface,
+    selection,
     state_jacobian,
+    trapezoid,
 )
 from scipy.stats import chi2
 
@@ -22,22 +25,6 @@ from cloth_predict.types import Gaussian
 
 NO_INPUT = np.zeros(0)
 SIGMA = 1e-3
-
-
-def random_covariance(rng, size):
-    root = rng.normal(size=(size, 2 * size))
-    return root @ root.T / (2 * size)
-
-
-def trapezoid(F, noise):
-    """Covariance of the noise of a step: half of it before and half after."""
-    return F @ np.diag(noise / 2) @ F.T + np.diag(noise / 2)
-
-
-def selection(rows, size):
-    H = np.zeros((len(rows), size))
-    H[np.arange(len(rows)), rows] = 1.0
-    return H
 
 
 @pytest.fixture

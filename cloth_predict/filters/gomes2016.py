@@ -14,6 +14,9 @@ import numpy as np
 from cloth_predict.filters.ahead import run_ahead
 from cloth_predict.types import Dynamics, FloatArray, Gaussian, Innovation, IntArray, Observation
 
+FARTHEST = 1e12
+"""State [SI] from which on the recursion counts as lost, while its squares are still finite."""
+
 
 @dataclass(frozen=True)
 class Gomes2016:
@@ -23,7 +26,8 @@ class Gomes2016:
     alpha is the largest of them times dt, the covariance that it would add to its own state in a
     step. beta is the variance of the measured coordinates, as the observation has it.
 
-    Raises FloatingPointError where a number overflows or S has no inverse.
+    Raises FloatingPointError where a number overflows, S has no inverse or the state leaves
+    every bound.
     """
 
     def start(self, prior: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray) -> Gaussian:
@@ -79,6 +83,6 @@ def _matrix(jac: FloatArray | IntArray, size: int) -> FloatArray:
 
 def _finite(mean: FloatArray, cov: FloatArray) -> Gaussian:
     # sparse products and LAPACK overflow without a word
-    if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
-        raise FloatingPointError('the estimate is not finite')
+    if not ((np.abs(mean) < FARTHEST).all() and np.isfinite(cov).all()):
+        raise FloatingPointError('the estimate is lost')
     return Gaussian(mean, cov)
