@@ -127,7 +127,7 @@ def test_on_stiff_springs_its_velocities_are_lost_and_its_nis_shows_it():
 
 
 def test_with_nodes_unseen_it_is_lost_altogether_and_says_so():
-    with pytest.raises(FloatingPointError, match='lost|overflow|invalid|no inverse'):
+    with pytest.raises(FloatingPointError, match=r'lost|overflow|invalid|no inverse'):
         for _ in on_stiff_springs(4, 30):
             pass
 
