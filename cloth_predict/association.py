@@ -30,18 +30,25 @@ class Match:
 
 
 @dataclass(frozen=True)
-class Checked:
-    """Labelled markers after the check of their labels.
+class Associated:
+    """The measurement of each node.
 
-    positions [m], shape (nodes, 3), NaN where hidden by the check; visible, shape (nodes,);
-    outside: markers that were not in the gate of their node; swapped: those of them that were
-    put right, the others are hidden.
+    positions [m], shape (nodes, 3), NaN where there is none; visible, shape (nodes,);
+    relabelled: labelled markers that are at another node than that of their label; rejected:
+    labelled markers at no node; matched and ghosts: points at a node, and at none.
     """
 
     positions: FloatArray
     visible: BoolArray
-    outside: int
-    swapped: int
+    relabelled: int = 0
+    rejected: int = 0
+    matched: int = 0
+    ghosts: int = 0
+
+    @classmethod
+    def as_labelled(cls, positions: FloatArray, visible: BoolArray) -> Associated:
+        """Every labelled marker is at the node of its label."""
+        return cls(np.where(visible[:, None], positions, np.nan), visible)
 
 
 def markers_of_nodes(sequence: MarkerSequence, config: Config, source: str) -> MarkerSequence:
@@ -103,34 +110,49 @@ def match(
     table = np.full((len(rows), len(columns)), limit)
     table[i, j] = cost
     row, column = linear_sum_assignment(table)
-    inside = table[row, column] < limit
-    node[columns[column[inside]]] = rows[row[inside]]
+    cheap = table[row, column] < limit
+    node[columns[column[cheap]]] = rows[row[cheap]]
     found = int((node >= 0).sum())
     return Match(node, len(points) - found, len(predicted) - found)
 
 
-def check_labels(
+def associate(
     predicted: FloatArray,
     covariances: FloatArray,
-    positions: FloatArray,
-    visible: BoolArray,
+    labelled: Associated,
+    points: FloatArray,
+    sure: BoolArray,
+    overdue: BoolArray,
     gate: float = GATE,
-) -> Checked:
-    """Put swapped labels right and hide markers that are at no node; marker i should be node i.
+) -> Associated:
+    """Find the measurement of each node among labelled markers and points without a label.
 
-    predicted, covariances and gate as in `match`; positions [m], shape (nodes, 3), visible, shape
-    (nodes,). A marker outside the gate of its own node moves to a node inside whose gate it lies
-    and whose own marker is outside too; where there is none it is hidden. Raises FrameError for a
-    visible marker that is not finite.
+    predicted, covariances, points and gate as in `match`; sure, shape (nodes,): nodes whose label
+    is not doubted. A labelled marker outside the gate of its node counts as one without a label.
+    Those, and the points, are matched to the nodes that have no marker yet. What then is left of a
+    node that is overdue, shape (nodes,), is believed after all. Raises FrameError for a visible
+    marker or a point that is not finite.
     """
-    error = checked(positions[visible]) - predicted[visible]
-    far = np.flatnonzero(visible)[squared(error, covariances[visible]) >= limit_of(gate)]
-    positions, visible = positions.copy(), visible.copy()
-    if not len(far):
-        return Checked(positions, visible, 0, 0)
-    found = match(predicted[far], covariances[far], positions[far], gate)
-    positions[far], visible[far] = in_node_order(found.node, positions[far], len(far))
-    return Checked(positions, visible, len(far), len(far) - found.ghosts)
+    positions, visible = labelled.positions.copy(), labelled.visible & sure
+    doubted = np.flatnonzero(labelled.visible & ~sure)
+    error = checked(positions[doubted]) - predicted[doubted]
+    visible[doubted] = inside(error, covariances[doubted], gate)
+    far, open_ = doubted[~visible[doubted]], np.flatnonzero(~visible)
+    pool = np.concatenate([positions[far], checked(points)])
+    positions[open_] = np.nan
+    node = match(predicted[open_], covariances[open_], pool, gate).node
+    positions[open_], visible[open_] = in_node_order(node, pool, len(open_))
+    relabelled = node[: len(far)] >= 0
+    believed = ~relabelled & overdue[far] & ~visible[far]
+    positions[far[believed]], visible[far[believed]] = pool[: len(far)][believed], True
+    moved, matched = int(relabelled.sum()), int((node[len(far) :] >= 0).sum())
+    rejected = len(far) - moved - int(believed.sum())
+    return Associated(positions, visible, moved, rejected, matched, len(points) - matched)
+
+
+def inside(error: FloatArray, covariances: FloatArray, gate: float) -> BoolArray:
+    """Whether errors [m], (m, 3), lie in the gate of their covariances [m^2], (m, 3, 3)."""
+    return np.asarray(squared(error, covariances) < limit_of(gate))
 
 
 def in_node_order(node: IntArray, points: FloatArray, nodes: int) -> tuple[FloatArray, BoolArray]:
@@ -178,8 +200,8 @@ def _candidates(
     i = np.repeat(np.arange(len(predicted)), [len(found) for found in near])
     j = np.concatenate(near).astype(np.int64)
     cost = squared(points[j] - predicted[i], covariances[i])
-    inside = cost < limit
-    return i[inside], j[inside], cost[inside]
+    near_enough = cost < limit
+    return i[near_enough], j[near_enough], cost[near_enough]
 
 
 def _listed(labels: tuple[str, ...], most: int = 4) -> str:

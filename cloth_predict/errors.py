@@ -24,3 +24,7 @@ class FormatError(ClothPredictError):
 
 class FrameError(ClothPredictError):
     """One frame of markers that cannot be used; the next one may be good."""
+
+
+class UncertainError(FrameError):
+    """A prediction that would say nothing: too few markers were seen for too long."""

@@ -3,48 +3,55 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, replace
-from math import ceil
+from dataclasses import replace
 
 import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
-from cloth_predict.observations import VisiblePositions
-from cloth_predict.starting import Start, Starter
-from cloth_predict.types import BoolArray, FloatArray, Innovation, IntArray, Surface
+from cloth_predict.limits import Health, judge, require_certain, spread
+from cloth_predict.motion import NANOSECONDS, ahead, rows, surface
+from cloth_predict.rewind import Entry, Memory
+from cloth_predict.starting import Starter
+from cloth_predict.topology import NO_TRIANGLES
+from cloth_predict.track import Frame, Step, Track, begin, follow
+from cloth_predict.types import BoolArray, FloatArray, IntArray, Surface
 
-NANOSECONDS = 1e9
+__all__ = ['NANOSECONDS', 'Step', 'Tracker']
+
 FARTHEST = 1e4
 """Coordinate [m] from which on a marker is taken for a fault: no volume is that large."""
-
-
 NO_POINTS = np.zeros((0, 3))
 
 
-@dataclass(frozen=True)
-class Step:
-    """What became of a frame: `updated`, `started`, `restarted`, `waiting` or `late`."""
-
-    outcome: str
-    innovation: Innovation | None = None
-
-
 class Tracker:
-    """Follows a surface through frames of markers and predicts it; marker i is node i."""
+    """Follows a surface through frames of markers and predicts it; label i is node i.
+
+    counts: frames by outcome (see `Step`), and how often the covariance was `repaired` and the
+    estimate `diverged`; markers: markers by what they were taken for (see `Step.markers`).
+    """
 
     def __init__(self, config: Config) -> None:
-        """Prepare; the surface starts with the first frame that shows enough of it."""
+        """Prepare; the surface starts with the first frames that show enough of it."""
         self.config = config
         self.nodes = config.model.count
         self.counts: Counter[str] = Counter()
-        self._stamp: int | None = None
-        self._now: Start | None = None
+        self.markers: Counter[str] = Counter()
+        self._memory: Memory | None = None
+        self._starter = Starter(config)
+        self._offered: int | None = None
+        self._visible = 0
+        self._sigma: float | None = None
 
     @property
     def started(self) -> bool:
         """Whether there is a surface to predict."""
-        return self._now is not None
+        return self._memory is not None
+
+    @property
+    def triangles(self) -> IntArray:
+        """Triangles of nodes, shape (t, 3); none before the start, nor of a chain."""
+        return self._track().now.topology.triangles if self._memory else NO_TRIANGLES
 
     def step(
         self,
@@ -58,131 +65,131 @@ class Tracker:
         points [m], shape (m, 3): markers without a label.
         Raises FrameError, and changes nothing, where the frame does not fit the model.
         """
-        self._check(positions, visible)
-        step = self._advance(stamp, positions, visible, points)
+        self._check(positions, visible, points)
+        frame = Frame(stamp, positions.copy(), visible.copy(), points.copy())
+        step = self._advance(frame)
         self.counts[step.outcome] += 1
+        if step.outcome in ('updated', 'started', 'restarted', 'waiting'):
+            self._visible = int(step.visible.sum())
         return step
 
     def estimate(self) -> Surface:
         """Return the surface at the last frame."""
-        now = self._started()
-        return self._surface(now.belief.mean, now.belief.marginals(_rows(now)), 0.0)
+        track, belief = self._track(), self._track().now.belief
+        known = belief.marginals(rows(track.now))
+        return surface(track.now, belief.mean, known, track.stamp, 0.0)
 
     def predict(self, horizon: float) -> Surface:
         """Return the surface `horizon` [s] after the last frame, by running the model there.
 
-        Raises FrameError where there is no surface yet, or none that is finite.
+        Raises FrameError where there is no surface yet, or none that is finite, and its kind
+        UncertainError where sigma is above `limits.sigma_error`.
         """
-        now = self._started()
-        steps, dt = split(horizon, self.config.filter.predict_step)
-        inputs = _inputs(now, 0.0, steps, dt)
-        try:
-            mean, cov = now.filter.forecast(
-                now.belief, now.model, inputs, now.noise, dt, _rows(now)
-            )
-        except FloatingPointError as error:
-            raise FrameError(f'the prediction fails: {error}') from None
-        if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
-            raise FrameError('the prediction is not finite: the model is too stiff for the step')
-        return self._surface(mean, cov, horizon)
+        found, self._sigma = self._ahead(horizon)
+        require_certain(self._sigma, self.config.limits)
+        return found
 
-    def _check(self, positions: FloatArray, visible: BoolArray) -> None:
+    def health(self) -> Health:
+        """How well the surface is known: by the last prediction, and the markers in view."""
+        if self._memory is None:
+            return Health('WARN', f'no surface yet: {self._starter.reason}')
+        if self._sigma is None:
+            _, self._sigma = self._ahead(self.config.horizon)
+        return judge(self._sigma, self._visible, self.nodes, self.config.limits)
+
+    def _ahead(self, horizon: float) -> tuple[Surface, float]:
+        """Return the surface `horizon` [s] ahead, and its sigma [m]."""
+        track = self._track()
+        mean, cov = ahead(track.now, horizon, self.config)
+        found = surface(track.now, mean, cov, track.stamp, horizon)
+        return found, spread(found, track.now.mesh.free)
+
+    def _check(self, positions: FloatArray, visible: BoolArray, points: FloatArray) -> None:
         if positions.shape != (self.nodes, 3) or visible.shape != (self.nodes,):
+            model = self.config.model
             raise FrameError(
                 f'positions {positions.shape} and visible {visible.shape}, but '
-                f'{self.config.model.counted_by} has {self.nodes} nodes'
+                f'{model.counted_by} has {model.name}'
             )
-        bad = visible & ~(np.abs(positions) < FARTHEST).all(axis=1)
-        if bad.any():
-            raise FrameError(
-                f'marker {int(bad.argmax())} has a coordinate that is not finite, or beyond '
-                f'{FARTHEST:g} m'
-            )
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise FrameError(f'points have shape {points.shape}, expected (m, 3)')
+        for what, places, used in (
+            ('marker', positions, visible),
+            ('point', points, np.ones(len(points), bool)),
+        ):
+            bad = used & ~(np.abs(places) < FARTHEST).all(axis=1)
+            if bad.any():
+                raise FrameError(
+                    f'{what} {int(bad.argmax())} has a coordinate that is not finite, or beyond '
+                    f'{FARTHEST:g} m'
+                )
 
-    def _advance(
-        self, stamp: int, positions: FloatArray, visible: BoolArray, points: FloatArray
-    ) -> Step:
-        if self._stamp is None or self._now is None:
-            return self._start(stamp, positions, visible, points, 'started')
-        dt = (stamp - self._stamp) / NANOSECONDS
+    def _advance(self, frame: Frame) -> Step:
+        memory = self._memory
+        latest = memory.last.stamp if memory else self._offered
+        dt = 0.0 if latest is None else (frame.stamp - latest) / NANOSECONDS
         if dt > self.config.filter.max_gap or dt < -self.config.filter.max_backstep:
-            return self._start(stamp, positions, visible, points, 'restarted')
+            return self._restart(frame)
+        if memory is None:
+            return self._start(frame, 'started') if latest is None or dt > 0 else _unused(frame)
         if dt <= 0:
-            return Step('late')
+            return self._late(memory, frame)
         try:
-            innovation = self._update(positions, visible, dt)
+            track, step = self._follow(memory.last, frame)
         except FloatingPointError:
             self.counts['diverged'] += 1
-            return self._start(stamp, positions, visible, points, 'restarted')
-        self._stamp = stamp
-        return Step('updated', innovation)
+            return self._restart(frame)
+        memory.add(Entry(frame, track, step))
+        self._count(step, 1)
+        return step
 
-    def _start(
-        self,
-        stamp: int,
-        positions: FloatArray,
-        visible: BoolArray,
-        points: FloatArray,
-        outcome: str,
-    ) -> Step:
-        self._now = Starter(self.config).offer(stamp, positions, visible, points)
-        self._stamp = stamp if self._now else None
-        return Step(outcome if self._now else 'waiting')
+    def _late(self, memory: Memory, frame: Frame) -> Step:
+        """Put a late frame in its place, where it is not too late and not there already."""
+        place = memory.place(frame.stamp)
+        if memory.holds(frame.stamp):
+            return _unused(frame, 'duplicate')
+        if place is None:
+            return _unused(frame, 'late')
+        try:
+            before, after = memory.insert(place, frame, self._follow)
+        except FloatingPointError:
+            return _unused(frame, 'late')
+        for entry in before:
+            self._count(entry.step, -1)
+        for entry in after:
+            self._count(entry.step, 1)
+        return replace(after[0].step, outcome='rewound')
 
-    def _update(self, positions: FloatArray, visible: BoolArray, dt: float) -> Innovation:
-        now = self._started()
-        driven, belief = now.driven.copy(), now.belief
-        driven.advance(dt)
-        driven.update(positions, visible)
-        now = replace(now, driven=driven)
-        steps, part = split(dt, self.config.filter.max_step)
-        for u in _inputs(now, -dt, steps, part):
-            belief = now.filter.predict(belief, now.model, u, now.noise, part)
-        seen = np.flatnonzero(visible[now.mesh.free])
-        obs = VisiblePositions.of_nodes(seen, self.config.filter.measurement_noise)
-        z = positions[now.mesh.free[seen]].ravel()
-        belief, innovation = now.filter.update(belief, obs, z)
-        if not np.isfinite(belief.mean).all():
-            raise FloatingPointError('the estimate is not finite')
-        self._now = replace(now, belief=belief)
-        return innovation
+    def _restart(self, frame: Frame) -> Step:
+        outcome = 'restarted' if self._memory else 'started'
+        self._memory, self._sigma = None, None
+        return self._start(frame, outcome)
 
-    def _started(self) -> Start:
-        if self._now is None:
-            raise FrameError('no surface yet: not enough markers have been seen')
-        return self._now
+    def _start(self, frame: Frame, outcome: str) -> Step:
+        self._offered = frame.stamp
+        start = self._starter.offer(frame.stamp, frame.positions, frame.visible, frame.points)
+        if start is None:
+            return Step('waiting', frame.positions, frame.visible)
+        track, step = begin(start, frame, self.config)
+        self._memory = Memory(self.config.filter.rewind, Entry(frame, track, step))
+        self._count(step, 1)
+        return replace(step, outcome=outcome)
 
-    def _surface(self, mean: FloatArray, cov: FloatArray, ahead: float) -> Surface:
-        now = self._started()
-        mesh, size = now.mesh, 3 * len(now.mesh.free)
-        driven = now.driven.extrapolate(ahead)
-        u = mesh.input(driven[0], driven[1])
-        position, velocity = mesh.surface(mean, u)
-        acceleration, covariance = np.zeros((self.nodes, 3)), np.zeros((self.nodes, 3, 3))
-        acceleration[mesh.free] = now.model.f(mean, u)[size : 2 * size].reshape(-1, 3)
-        acceleration[mesh.driven] = driven[2]
-        covariance[mesh.free] = cov
-        covariance[mesh.driven] = now.driven.variances(ahead)[:, None, None] * np.eye(3)
-        assert self._stamp is not None
-        return Surface(
-            self._stamp + round(ahead * NANOSECONDS), position, velocity, acceleration, covariance
-        )
+    def _follow(self, track: Track, frame: Frame) -> tuple[Track, Step]:
+        return follow(track, frame, self.config)
+
+    def _count(self, step: Step, sign: int) -> None:
+        for name, number in step.markers.items():
+            self.markers[name] += sign * number
+        if step.repairs:
+            self.counts['repaired'] += sign * step.repairs
+
+    def _track(self) -> Track:
+        if self._memory is None:
+            raise FrameError(f'no surface yet: {self._starter.reason}')
+        return self._memory.last
 
 
-def _rows(now: Start) -> IntArray:
-    """Position rows of the state by free node, shape (free, 3)."""
-    return np.arange(3 * len(now.mesh.free)).reshape(-1, 3)
-
-
-def _inputs(now: Start, begin: float, steps: int, dt: float) -> list[FloatArray]:
-    """Input of each of `steps` steps of dt [s], the first `begin` [s] after the last frame."""
-    if not steps:
-        return []
-    path = now.driven.path([begin + k * dt for k in range(steps + 1)])
-    return [now.mesh.input(position, velocity) for position, velocity in path]
-
-
-def split(duration: float, longest: float) -> tuple[int, float]:
-    """Number and length [s] of equal steps no longer than `longest` [s], but for rounding."""
-    steps = ceil(duration / longest - 1e-6)
-    return steps, duration / max(steps, 1)
+def _unused(frame: Frame, outcome: str = 'late') -> Step:
+    """Step of a frame that changes nothing."""
+    return Step(outcome, np.full_like(frame.positions, np.nan), np.zeros_like(frame.visible))

@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from cloth_predict.assembly import rest_shape
-from cloth_predict.association import check_labels, in_node_order, limit_of, match
+from cloth_predict.association import Associated, associate, in_node_order, limit_of, match
 from cloth_predict.config import build, load
 from cloth_predict.errors import FrameError
 from cloth_predict.formats.recording import read
@@ -35,6 +35,17 @@ def covariances_of(nodes, rng):
 
 def isotropic(nodes, sigma=SIGMA):
     return np.tile(sigma**2 * np.eye(3), (nodes, 1, 1))
+
+
+def checked(predicted, cov, positions, visible, points=None, sure=(), overdue=(), gate=0.999):
+    labelled = Associated.as_labelled(positions, visible)
+    places = np.zeros((0, 3)) if points is None else points
+    flags = (np.isin(np.arange(len(visible)), list(chosen)) for chosen in (sure, overdue))
+    return associate(predicted, cov, labelled, places, *flags, gate)
+
+
+def outcome(found):
+    return found.relabelled, found.rejected, found.matched, found.ghosts
 
 
 def brute_force(predicted, covariances, points, limit):
@@ -78,9 +89,9 @@ def test_the_gate_leaves_out_its_share_of_true_points(gate):
     low, high = stats.binom.interval(0.9999, nodes, 1 - gate)
     assert low <= found.ghosts <= high
     assert ((found.node == np.arange(nodes)) | (found.node == -1)).all()
-    checked = check_labels(predicted, cov, predicted + noise[..., 0], np.ones(nodes, bool), gate)
-    assert checked.outside == found.ghosts
-    np.testing.assert_array_equal(checked.visible, found.node >= 0)
+    labelled = checked(predicted, cov, predicted + noise[..., 0], np.ones(nodes, bool), gate=gate)
+    assert outcome(labelled) == (0, found.ghosts, 0, 0)
+    np.testing.assert_array_equal(labelled.visible, found.node >= 0)
 
 
 def test_the_limit_is_the_quantile_of_chi_square():
@@ -145,9 +156,9 @@ def test_points_that_are_not_finite_are_named(value):
     with pytest.raises(FrameError, match='point 3 has a coordinate that is not finite'):
         find_grid(bad, 5, 4, shape)
     with pytest.raises(FrameError, match='not finite'):
-        check_labels(shape, isotropic(20), bad, np.ones(20, bool))
+        checked(shape, isotropic(20), bad, np.ones(20, bool))
     hidden = np.arange(20) != 3
-    assert check_labels(shape, isotropic(20), bad, hidden).outside == 0
+    assert outcome(checked(shape, isotropic(20), bad, hidden)) == (0, 0, 0, 0)
 
 
 @pytest.mark.parametrize('points', [np.zeros((4, 2)), np.zeros(3)])
@@ -166,10 +177,10 @@ def test_swapped_labels_are_put_right(cycle, swapped):
     given = true.copy()
     given[list(cycle)] = true[list(np.roll(cycle, 1).astype(int))]
     before, visible = given.copy(), np.ones(20, bool)
-    found = check_labels(shape, isotropic(20), given, visible)
+    found = checked(shape, isotropic(20), given, visible)
     np.testing.assert_array_equal(found.positions, true)
     assert found.visible.all()
-    assert (found.outside, found.swapped) == (swapped, swapped)
+    assert outcome(found) == (swapped, 0, 0, 0)
     np.testing.assert_array_equal(given, before)  # inputs are not written to
 
 
@@ -180,12 +191,46 @@ def test_a_marker_that_is_at_no_free_node_is_hidden():
     given[2] += [0, 0, 0.3]  # nowhere
     given[6] = shape[7]  # at a node whose own marker is there
     given[[10, 11]] = shape[[11, 10]]
-    found = check_labels(shape, isotropic(20), given, visible)
-    assert (found.outside, found.swapped) == (4, 2)
+    found = checked(shape, isotropic(20), given, visible)
+    assert outcome(found) == (2, 2, 0, 0)
     assert np.flatnonzero(~found.visible).tolist() == [2, 5, 6]
     np.testing.assert_array_equal(found.positions[found.visible], shape[found.visible])
     assert np.isnan(found.positions[~found.visible]).all()
     assert visible.sum() == 19
+
+
+def test_a_label_that_went_to_a_hidden_node_follows_it():
+    shape, given, visible = grid(), grid(), np.arange(20) != 5
+    given[12] = shape[5] + 0.001  # the marker of node 12 is hidden, that of node 5 has its label
+    found = checked(shape, isotropic(20), given, visible)
+    assert outcome(found) == (1, 0, 0, 0)
+    assert np.flatnonzero(~found.visible).tolist() == [12]
+    np.testing.assert_array_equal(found.positions[5], given[12])
+
+
+def test_points_go_to_the_nodes_that_have_no_marker():
+    shape, given, visible = grid(), grid(), np.arange(20) < 15
+    given[2] += OFF
+    points = shape[[17, 2, 4, 16]] + 0.001  # of a node without marker, and of node 4 a second one
+    found = checked(shape, isotropic(20), given, visible, points)
+    assert outcome(found) == (0, 1, 3, 1)
+    assert np.flatnonzero(~found.visible).tolist() == [15, 18, 19]
+    np.testing.assert_array_equal(found.positions[[17, 2, 16]], points[[0, 1, 3]])
+    np.testing.assert_array_equal(found.positions[4], shape[4])
+
+
+def test_a_sure_label_is_not_doubted_and_an_overdue_one_is_believed_last():
+    shape, given, every = grid(), grid(), np.ones(20, bool)
+    given[[2, 3]] += OFF
+    given[[8, 9]] = shape[[9, 8]]
+    found = checked(shape, isotropic(20), given, every, None, [2], [3, 8, 9])
+    assert outcome(found) == (2, 0, 0, 0)
+    np.testing.assert_array_equal(found.positions[[2, 3]], given[[2, 3]])
+    np.testing.assert_array_equal(found.positions[[8, 9]], shape[[8, 9]])
+    point = shape[[3]] + 0.001  # a marker where the node should be is the better one
+    found = checked(shape, isotropic(20), given, every, point, [2], [3])
+    assert outcome(found) == (2, 1, 1, 0)
+    np.testing.assert_array_equal(found.positions[3], point[0])
 
 
 def bent(shape, kind):

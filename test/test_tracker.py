@@ -131,14 +131,15 @@ def test_irregular_stamps_and_missing_markers_equal_stepping_by_hand(motion):
 
 @pytest.mark.parametrize('back', [0, 1, 10 * MS, 500 * MS])
 def test_a_stamp_that_is_not_after_the_last_never_reaches_the_filter(back):
-    config = settings()
+    config = settings(filter={'rewind': 0.0})
     stamps = (np.arange(100) * 10 * MS).tolist()
     positions = moving(config, stamps)
     tracker = followed(config, stamps[:80], positions)
     before = content(tracker.estimate())
     step = tracker.step(stamps[79] - back, positions[5] + 1.0, EVERY)
-    assert (step.outcome, step.innovation) == ('late', None)
-    assert tracker.counts == {'started': 1, 'updated': 79, 'late': 1}
+    outcome = 'late' if back else 'duplicate'
+    assert (step.outcome, step.innovation, step.taken) == (outcome, None, False)
+    assert tracker.counts == {'started': 1, 'updated': 79, outcome: 1}
     assert content(tracker.estimate()) == before
     for k in range(80, 100):
         tracker.step(stamps[k], positions[k], EVERY)
@@ -264,8 +265,9 @@ def test_it_waits_for_three_markers_and_for_every_anchor(anchors):
     tracker = Tracker(config)
     few = np.isin(np.arange(9), [0, 1])
     without_anchor = np.arange(9) != 1
-    for visible in (~EVERY, few, without_anchor) if anchors else (~EVERY, few):
-        assert tracker.step(0, positions[0], visible).outcome == 'waiting'
+    for k, visible in enumerate((~EVERY, few, without_anchor) if anchors else (~EVERY, few)):
+        assert tracker.step(k, positions[0], visible).outcome == 'waiting'
+        assert tracker.step(k, positions[0], EVERY).outcome == 'late'  # as it is no news
         assert not tracker.started
     for ask in (tracker.estimate, lambda: tracker.predict(0.1)):
         with pytest.raises(FrameError, match='no surface yet'):

@@ -75,5 +75,5 @@ def of_groups(left: FloatArray, right: FloatArray, rows: IntArray) -> FloatArray
 
 
 def symmetric(matrix: FloatArray) -> FloatArray:
-    """Symmetric part of a matrix that is symmetric but for rounding."""
-    return 0.5 * (matrix + matrix.T)
+    """Symmetric part of a matrix, or of each of (..., m, m), symmetric but for rounding."""
+    return 0.5 * (matrix + matrix.swapaxes(-1, -2))

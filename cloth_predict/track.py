@@ -1,0 +1,182 @@
+"""A surface that is being followed, and what one frame of markers does to it; no state of its own.
+
+A track is never changed: a frame makes a new one, so that old ones can be gone back to.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cloth_predict.association import Associated, associate, inside
+from cloth_predict.config import Config
+from cloth_predict.driven import DrivenNodes
+from cloth_predict.filters.linear import nearest_positive_definite
+from cloth_predict.motion import NANOSECONDS, moved, rows
+from cloth_predict.observations import VisiblePositions
+from cloth_predict.starting import Start
+from cloth_predict.types import Belief, BoolArray, FloatArray, Gaussian, Innovation, IntArray
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What the mocap system says at one time.
+
+    stamp [ns]; positions [m], shape (nodes, 3), and visible, shape (nodes,), of the labelled
+    markers; points [m], shape (m, 3), of those without a label.
+    """
+
+    stamp: int
+    positions: FloatArray
+    visible: BoolArray
+    points: FloatArray
+
+
+@dataclass(frozen=True)
+class Step:
+    """What became of a frame.
+
+    outcome: `updated`, `rewound` (late, and put in its place), `started` or `restarted`,
+    `waiting` (not enough to start from), `late` or `duplicate` (these two change nothing);
+    positions [m], shape (nodes, 3), NaN where unseen, and visible, shape (nodes,): what was taken
+    as the measurement of each node; markers: how many were `relabelled` (moved to another node
+    than that of their label), `rejected` (labelled, but at no node), `matched` (without a label,
+    at a node) and `ghosts` (without a label, at no node); repairs: of the covariance.
+    """
+
+    outcome: str
+    positions: FloatArray
+    visible: BoolArray
+    innovation: Innovation | None = None
+    markers: Counter[str] = field(default_factory=Counter)
+    repairs: int = 0
+
+    @property
+    def taken(self) -> bool:
+        """Whether the frame changed the surface."""
+        return self.outcome in ('updated', 'rewound', 'started', 'restarted')
+
+
+@dataclass(frozen=True)
+class Track:
+    """The surface after a frame at `stamp` [ns]; last, shape (nodes,): when each was seen [ns]."""
+
+    stamp: int
+    now: Start
+    last: IntArray
+
+
+def begin(start: Start, frame: Frame, config: Config) -> tuple[Track, Step]:
+    """Track from a start at this frame, and which marker of the frame is which node."""
+    track = Track(frame.stamp, start, np.full(len(frame.visible), frame.stamp))
+    found = _identified(track, frame, np.zeros(len(frame.visible), bool), config)
+    return track, Step('started', found.positions, found.visible, markers=_counted(found))
+
+
+def follow(track: Track, frame: Frame, config: Config) -> tuple[Track, Step]:
+    """Move on to a later frame and take it. Raises FloatingPointError where the filter fails.
+
+    A covariance that is no longer positive definite is repaired, once.
+    """
+    try:
+        return _follow(track, frame, config)
+    except FloatingPointError:
+        repaired = replace(track, now=replace(track.now, belief=_repaired(track.now.belief)))
+        after, step = _follow(repaired, frame, config)
+        return after, replace(step, repairs=step.repairs + 1)
+
+
+def _follow(track: Track, frame: Frame, config: Config) -> tuple[Track, Step]:
+    dt = (frame.stamp - track.stamp) / NANOSECONDS
+    driven = track.now.driven.copy()
+    driven.advance(dt)
+    own = _in_place(driven, track, frame, config)
+    driven.update(frame.positions, own)
+    arrived = replace(track, now=moved(track.now, driven, dt, config))
+    found = _identified(arrived, frame, own, config)
+    others = found.visible & ~own
+    if others[driven.nodes].any():  # what the driven nodes do is an input of the prediction
+        driven = driven.copy()
+        driven.update(found.positions, others)
+        arrived = replace(track, now=moved(track.now, driven, dt, config))
+    belief, innovation = _updated(arrived.now, found, config)
+    sound = (np.diagonal(belief.marginals(rows(arrived.now)), axis1=1, axis2=2) > 0).all()
+    belief = belief if sound else _repaired(belief)
+    last = np.where(found.visible, frame.stamp, track.last)
+    after = Track(frame.stamp, replace(arrived.now, belief=belief), last)
+    counted = _counted(found)
+    return after, Step(
+        'updated', found.positions, found.visible, innovation, counted, int(not sound)
+    )
+
+
+def _in_place(driven: DrivenNodes, track: Track, frame: Frame, config: Config) -> BoolArray:
+    """Driven nodes, shape (nodes,), whose labelled marker is where it should be."""
+    own = np.zeros(len(frame.visible), bool)
+    seen = driven.nodes[frame.visible[driven.nodes]]
+    own[seen] = True
+    if config.association.check_labels and len(seen):
+        predicted, spread = np.zeros((len(own), 3)), np.zeros((len(own), 3, 3))
+        predicted[driven.nodes] = driven.extrapolate(0.0)[0]
+        spread[driven.nodes] = driven.variances(0.0)[:, None, None] * np.eye(3)
+        spread += _allowance(track, frame, config)
+        error = frame.positions[seen] - predicted[seen]
+        own[seen] = inside(error, spread[seen], config.association.gate)
+    return own
+
+
+def _identified(track: Track, frame: Frame, own: BoolArray, config: Config) -> Associated:
+    """Which marker is which node of a track that was moved to the frame; own: known already."""
+    mesh, settings = track.now.mesh, config.association
+    labelled = Associated.as_labelled(frame.positions, frame.visible)
+    sure = own if settings.check_labels else frame.visible
+    if not len(frame.points) and not (frame.visible & ~sure).any():
+        return labelled
+    held = track.now.driven.extrapolate(0.0)
+    predicted, _ = mesh.surface(track.now.belief.mean, mesh.input(held[0], held[1]))
+    spread = np.zeros((len(predicted), 3, 3))
+    spread[mesh.free] = track.now.belief.marginals(rows(track.now))
+    spread[mesh.driven] = track.now.driven.variances(0.0)[:, None, None] * np.eye(3)
+    spread += _allowance(track, frame, config)
+    overdue = frame.stamp - track.last > settings.patience * NANOSECONDS
+    return associate(predicted, spread, labelled, frame.points, sure, overdue, settings.gate)
+
+
+def _allowance(track: Track, frame: Frame, config: Config) -> FloatArray:
+    """What the gate allows beyond the belief's covariance [m^2], shape (nodes, 3, 3)."""
+    settings = config.association
+    unseen = (frame.stamp - track.last) / NANOSECONDS
+    slack = settings.slack + settings.drift * unseen
+    variance = slack**2 + config.filter.measurement_noise**2
+    return np.asarray(variance[:, None, None] * np.eye(3))
+
+
+def _updated(now: Start, found: Associated, config: Config) -> tuple[Belief, Innovation]:
+    seen = np.flatnonzero(found.visible[now.mesh.free])
+    obs = VisiblePositions.of_nodes(seen, config.filter.measurement_noise)
+    z = found.positions[now.mesh.free[seen]].ravel()
+    belief, innovation = now.filter.update(now.belief, obs, z)
+    if not np.isfinite(belief.mean).all() or not np.isfinite(belief.marginals(rows(now))).all():
+        raise FloatingPointError('the estimate is not finite')
+    return belief, innovation
+
+
+def _repaired(belief: Belief) -> Belief:
+    """Belief with the nearest covariance that is positive definite.
+
+    Raises FloatingPointError where there is none, or where the filter keeps no such covariance.
+    """
+    if not isinstance(belief, Gaussian) or not np.isfinite(belief.cov).all():
+        raise FloatingPointError('the covariance cannot be repaired')
+    return replace(belief, cov=nearest_positive_definite(belief.cov))
+
+
+def _counted(found: Associated) -> Counter[str]:
+    return Counter(
+        relabelled=found.relabelled,
+        rejected=found.rejected,
+        matched=found.matched,
+        ghosts=found.ghosts,
+    )
