@@ -7,8 +7,10 @@ from typing import Any
 
 from cloth_predict.config import Config
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
+from cloth_predict.filters.fixed_gain import FixedGain
 from cloth_predict.filters.gomes2016 import Gomes2016
 from cloth_predict.filters.least_squares import LeastSquares, RecursiveLeastSquares
+from cloth_predict.filters.reduced_rank import Modes, ReducedRank
 from cloth_predict.filters.sigma_points import SigmaPointFilter
 from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.models.mass_spring import MassSpring
@@ -29,6 +31,12 @@ FILTERS: dict[str, Callable[[Config, MassSpring], Filter[Any]]] = {
         INTEGRATORS[config.filter.integrator], config.filter.forgetting
     ),
     'gomes2016': lambda config, mesh: Gomes2016(),
+    'fixed_gain': lambda config, mesh: FixedGain(
+        INTEGRATORS[config.filter.integrator], len(mesh.free)
+    ),
+    'reduced_rank': lambda config, mesh: ReducedRank(
+        INTEGRATORS[config.filter.integrator], Modes.smoothest(mesh, config.filter.rank)
+    ),
 }
 
 
