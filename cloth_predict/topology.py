@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -16,6 +17,8 @@ from cloth_predict.types import FloatArray, IntArray
 
 LONGEST_EDGE = 3.0
 """Edge of a triangulation, by the median edge, from which on it only spans a gap of the hull."""
+FLAT = 1e-6
+"""Width by length from which on points lie on a line."""
 NO_TRIANGLES = np.zeros((0, 3), np.int64)
 
 
@@ -62,17 +65,19 @@ def of_edges(nodes: int, edges: IntArray) -> Topology:
 
 
 def delaunay(points: FloatArray) -> Topology:
-    """Triangulate a surface [m], shape (nodes, 3), in its best plane.
+    """Triangulate a surface [m], shape (nodes, 3).
 
-    Edges longer than three times the median are left out, as they only span gaps of the hull,
-    except those without which a node would be alone. Opposite corners of two triangles with a
-    common edge resist bending. Raises FrameError where the points do not span a plane.
+    It is laid flat by projection onto its best plane or, where that parts neighbours, as of a
+    tube, unrolled round an axis. Edges longer than three times the median are left out, as they
+    only span gaps of the hull, except those without which a node would be alone. Opposite corners
+    of two triangles with a common edge resist bending. Raises FrameError where the points do not
+    span a surface.
     """
     triangles = _triangulated(points)
-    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+    sides = _sides(triangles)
     edges = np.unique(sides.reshape(-1, 2), axis=0)
-    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-    # the shortest tree through all points is part of the triangulation: nothing comes apart
+    length = _lengths(points, edges)
+    # the shortest tree through all points keeps what is left together
     tree = minimum_spanning_tree(adjacency(len(points), edges, length)).toarray()
     needed = (tree + tree.T)[edges[:, 0], edges[:, 1]] > 0
     kept = edges[(length <= LONGEST_EDGE * np.median(length)) | needed]
@@ -96,20 +101,78 @@ def _mesh(edges: IntArray, flexion: IntArray, triangles: IntArray) -> Topology:
     return Topology({name: pairs.astype(np.int64) for name, pairs in families.items()}, triangles)
 
 
+def _sides(triangles: IntArray) -> IntArray:
+    """Edges from corner k to k + 1 of triangles, the lower node first, shape (t, 3, 2)."""
+    return np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+
+
+def _lengths(points: FloatArray, edges: IntArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(points[edges[..., 0]] - points[edges[..., 1]], axis=-1))
+
+
 def _triangulated(points: FloatArray) -> IntArray:
-    """Triangles, shape (t, 3), of the points [m] in their best plane, in which all have a side."""
+    """Triangles, shape (t, 3), of the points [m] laid flat in the way that parts no neighbours.
+
+    The shortest tree through all points joins neighbours on any surface that is seen densely
+    enough: the layout is taken whose triangulation lacks the fewest edges of it, the plane first.
+    """
     centred = points - points.mean(axis=0)
-    plane = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
+    own = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
+    if len(points) < 3 or np.ptp(own[:, 1]) <= FLAT * np.ptp(own[:, 0]):
+        raise FrameError(f'{len(points)} markers cannot be triangulated: they lie on a line')
+    tree = minimum_spanning_tree(np.linalg.norm(points[:, None] - points, axis=2))
+    neighbours = np.sort(np.column_stack(tree.nonzero()), axis=1)
+    best, fewest, side = NO_TRIANGLES, np.inf, np.inf
+    ways: list[Callable[[FloatArray], IntArray]] = [_in_plane]
+    for lay_flat in ways + [partial(_unrolled, axis=axis) for axis in range(3)]:
+        found = lay_flat(own)
+        lacks = _lacking(neighbours, found)
+        length = float(_lengths(points, _sides(found)).mean()) if len(found) else np.inf
+        if (lacks, length) < (fewest, side):
+            best, fewest, side = found, lacks, length
+        if not lacks and lay_flat is _in_plane:
+            break
+    if not len(best):
+        raise FrameError(f'{len(points)} markers cannot be triangulated: some are at one place')
+    return best
+
+
+def _lacking(neighbours: IntArray, triangles: IntArray) -> float:
+    """How many pairs, shape (pairs, 2), are no side of a triangle; infinite without any."""
+    if not len(triangles):
+        return np.inf
+    sides = set(map(tuple, _sides(triangles).reshape(-1, 2).tolist()))
+    return float(sum(tuple(pair) not in sides for pair in neighbours.tolist()))
+
+
+def _in_plane(points: FloatArray) -> IntArray:
+    """Triangles of points [m], shape (nodes, 3), seen along the last axis; none where two meet."""
+    found = Delaunay(points[:, :2])
+    return NO_TRIANGLES if len(found.coplanar) else np.asarray(found.simplices, np.int64)
+
+
+def _unrolled(points: FloatArray, axis: int) -> IntArray:
+    """Triangles of points [m], shape (nodes, 3), on a tube round an axis through their middle.
+
+    The unrolled tube is laid out three times, so that triangles go on across its seam; of each of
+    them one copy is kept. None where the points are on no tube.
+    """
+    height, (a, b) = points[:, axis], np.delete(points, axis, axis=1).T
+    nodes, angle = len(points), np.arctan2(b, a)
+    turns = np.concatenate([angle - 2 * np.pi, angle, angle + 2 * np.pi])
+    flat = np.column_stack([np.hypot(a, b).mean() * turns, np.tile(height, 3)])
     try:
-        found = Delaunay(plane)
-    except (QhullError, ValueError):
-        raise FrameError(
-            f'{len(points)} markers cannot be triangulated: they lie on a line'
-        ) from None
+        found = Delaunay(flat)
+    except QhullError:  # they lie in a plane across the axis
+        return NO_TRIANGLES
     if len(found.coplanar):
-        node, _, other = found.coplanar[0]
-        raise FrameError(f'markers {node} and {other} are at the same place')
-    return np.asarray(found.simplices, np.int64)
+        return NO_TRIANGLES
+    # the copy whose lowest node lies in the middle, which each triangle has once
+    copies, each = np.asarray(found.simplices, np.int64), np.arange(len(found.simplices))
+    lowest = copies[each, (copies % nodes).argmin(axis=1)]
+    once = copies[lowest // nodes == 1] % nodes
+    distinct = (np.diff(np.sort(once, axis=1), axis=1) > 0).all(axis=1)
+    return np.asarray(once[distinct])
 
 
 def _opposite(triangles: IntArray, sides: IntArray) -> IntArray:
