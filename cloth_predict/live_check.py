@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cloth_predict.config import Config
 from cloth_predict.metrics import at_times
 from cloth_predict.tracker import NANOSECONDS
 from cloth_predict.types import BoolArray, FloatArray, MarkerSequence, Surface
@@ -78,6 +79,13 @@ class LiveCheck:
         self._noise, self._free = noise, free
         self._labels = tuple(str(node) for node in range(len(free)))
         self._reset()
+
+    @classmethod
+    def of(cls, config: Config) -> LiveCheck:
+        """Prepare for the configured surface."""
+        free = np.ones(config.model.count, bool)
+        free[list(config.anchors.nodes)] = False
+        return cls(config.live_check.window, config.filter.measurement_noise, free)
 
     def _reset(self) -> None:
         self._frames: deque[tuple[int, FloatArray, BoolArray]] = deque(maxlen=2)
@@ -168,11 +176,22 @@ def _summed(judged: list[_Judged]) -> Realised:
     return Realised(len(judged), error, hold, (one, two, three))
 
 
+def values(found: Realised) -> dict[str, str]:
+    """Name the numbers, as the diagnostics show them."""
+    within = {f'coverage_{k}_sigma': share for k, share in enumerate(found.coverage, 1)}
+    return {
+        'realised_count': f'{found.count}',
+        'realised_error_mm': f'{found.error_mm:.3f}',
+        'gain_over_hold': f'{found.gain:.4f}',
+        **{name: f'{share:.4f}' for name, share in within.items()},
+    }
+
+
 def warning(found: Realised, noise: float) -> str:
     """Say what is wrong with predictions, or nothing; noise [m] of a coordinate of a marker.
 
-    Errors of the size of the noise are not judged: of a surface at rest the last measurement
-    is the best prediction there is.
+    Errors of the size of the noise are not judged: of a surface at rest the last measurement is
+    the best prediction there is.
     """
     if found.count < ENOUGH or found.error_mm < 1e3 * 2 * sqrt(3) * noise:
         return ''

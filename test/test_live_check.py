@@ -10,8 +10,9 @@ import pytest
 
 from cloth_predict import live_check
 from cloth_predict.config import Config, load
-from cloth_predict.evaluation import WARM_UP, evaluate
+from cloth_predict.evaluation import evaluate
 from cloth_predict.formats.recording import read
+from cloth_predict.judging import WARM_UP
 from cloth_predict.live_check import ENOUGH, LiveCheck, Realised, warning
 from cloth_predict.predictors import METHODS
 from cloth_predict.types import BoolArray, FloatArray, MarkerSequence, Surface
@@ -241,9 +242,15 @@ GOOD = (0.68, 0.95, 0.99)
     ('found', 'words'),
     [
         (Realised(ENOUGH, 5.0, 30.0, GOOD), ''),
-        (Realised(ENOUGH, 31.0, 30.0, GOOD), 'worse than the last measurement: 31.0 mm, not 30'),
+        (
+            Realised(ENOUGH, 31.0, 30.0, GOOD),
+            'are worse than the last measurement: 31.0 mm, not 30',
+        ),
         (Realised(ENOUGH - 1, 31.0, 30.0, GOOD), ''),
-        (Realised(ENOUGH, 5.0, 30.0, (0.4, 0.7, 0.9)), 'sigma is too small: 70 % of the errors'),
+        (
+            Realised(ENOUGH, 5.0, 30.0, (0.4, 0.7, 0.9)),
+            'sigma is too small: 70 % of the errors',
+        ),
         (Realised(ENOUGH, 5.0, 30.0, (1.0, 1.0, 1.0)), ''),  # a surface that happens to be calm
         (Realised(ENOUGH, 1.0, 0.5, GOOD), ''),  # within the noise: 2 sqrt(3) 0.3 mm = 1.04 mm
         (Realised(ENOUGH, 1.1, 0.5, GOOD), 'worse than the last measurement'),

@@ -60,12 +60,13 @@ def markers(*rows: tuple[float, ...], kind: Any = MARKERS) -> Any:
     return np.array(list(rows), kind)
 
 
-def unpacked(cloud: Any, nodes: int) -> tuple[list[list[float]], list[bool], int]:
-    """Positions of the visible nodes, visibility, and number of points without a label."""
+def unpacked(cloud: Any, nodes: int) -> tuple[list[list[float]], list[bool], list[list[float]]]:
+    """Positions of the visible nodes, visibility, and the points without a label."""
     positions, visible, strangers = decode_markers(cloud, nodes)
     assert positions.shape == (nodes, 3)
+    assert strangers.shape == (len(strangers), 3)
     assert np.isnan(positions[~visible]).all()
-    return positions[visible].tolist(), visible.tolist(), strangers
+    return positions[visible].tolist(), visible.tolist(), strangers.tolist()
 
 
 def refused(cloud: Any, nodes: int = 4) -> str:
@@ -158,26 +159,32 @@ def test_markers_come_back(rows: list[tuple[float, float, float, bool, bool]]) -
     found, seen, strangers = decode_markers(cloud, len(rows))
     np.testing.assert_array_equal(positions, before)
     np.testing.assert_array_equal(seen, visible & ~unlabelled)
-    assert strangers == np.count_nonzero(visible & unlabelled)
     # a float32 has 24 bits, so half its last is 2^-25 of the value; 1e-45 is the least of all
-    np.testing.assert_allclose(found[seen], positions[seen], rtol=2**-24, atol=1e-45)
+    close = {'rtol': 2**-24, 'atol': 1e-45}
+    np.testing.assert_allclose(found[seen], positions[seen], **close)
+    np.testing.assert_allclose(strangers, positions[visible & unlabelled], **close)
 
 
 def test_no_marker_is_visible() -> None:
     points = encode_markers(np.full((3, 3), np.nan), np.zeros(3, bool), np.zeros(3, bool))
-    assert unpacked(message(points), 3) == ([], [False] * 3, 0)
-    assert unpacked(message(points, height=0, width=0), 3) == ([], [False] * 3, 0)
-    assert unpacked(message(points, height=7), 3) == ([], [False] * 3, 0)
+    assert unpacked(message(points), 3) == ([], [False] * 3, [])
+    assert unpacked(message(points, height=0, width=0), 3) == ([], [False] * 3, [])
+    assert unpacked(message(points, height=7), 3) == ([], [False] * 3, [])
 
 
 def test_order_of_points_does_not_matter() -> None:
     cloud = message(markers((7, 8, 9, 3), (1, 2, 3, 1)))
-    assert unpacked(cloud, 4) == ([[1, 2, 3], [7, 8, 9]], [False, True, False, True], 0)
+    assert unpacked(cloud, 4) == ([[1, 2, 3], [7, 8, 9]], [False, True, False, True], [])
 
 
 def test_a_cloud_of_points_without_labels_only() -> None:
     cloud = message(markers((7, 8, 9, UNLABELLED), (1, 2, 3, UNLABELLED)))
-    assert unpacked(cloud, 2) == ([], [False, False], 2)
+    assert unpacked(cloud, 2) == ([], [False, False], [[7, 8, 9], [1, 2, 3]])
+
+
+def test_points_with_and_without_labels_may_be_mixed() -> None:
+    cloud = message(markers((7, 8, 9, UNLABELLED), (4, 5, 6, 1), (1, 2, 3, UNLABELLED)))
+    assert unpacked(cloud, 2) == ([[4, 5, 6]], [False, True], [[7, 8, 9], [1, 2, 3]])
 
 
 # --- the layouts of others -------------------------------------------------------------------
@@ -207,7 +214,7 @@ def test_other_layouts_read_the_same(kind: Any, order: str) -> None:
     for name, values in zip(XYZ_ID, ([1.5, -4], [2, 5], [3, 6], [0, 2]), strict=True):
         points[name] = values
     cloud = message(points, is_bigendian=order == '>')
-    expected = ([[1.5, 2, 3], [-4, 5, 6]], [True, False, True, False], 0)
+    expected = ([[1.5, 2, 3], [-4, 5, 6]], [True, False, True, False], [])
     assert unpacked(cloud, 4) == expected
 
 
@@ -304,7 +311,8 @@ def test_a_field_beyond_the_point() -> None:
 @pytest.mark.parametrize('wrong', [4, 5, 2**31, UNLABELLED - 1])
 def test_an_id_that_is_no_node(wrong: int) -> None:
     cloud = message(markers((1, 2, 3, 0), (1, 2, 3, wrong), (1, 2, 3, UNLABELLED)))
-    assert refused(cloud) == f'marker id {wrong} does not fit a model of 4 nodes'
+    words = f'2 markers with ids up to {wrong} do not fit a model of 4 nodes'
+    assert refused(cloud) == words
 
 
 def test_an_id_that_is_there_twice() -> None:

@@ -116,21 +116,25 @@ def encode_markers(
     return points
 
 
-def decode_markers(message: Any, nodes: int) -> tuple[FloatArray, BoolArray, int]:
-    """Positions [m], shape (nodes, 3), visible, shape (nodes,), and the number without a label.
+def decode_markers(message: Any, nodes: int) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Positions [m], shape (nodes, 3), and visible, shape (nodes,), of the labelled markers.
 
-    Raises FrameError for a cloud with other fields, an id that is no node, or an id given twice.
+    The third are the points [m] without a label, shape (m, 3), in the order of the cloud. Raises
+    FrameError for a cloud with other fields, an id that is no node, or an id given twice.
     """
-    points = decode(message, ('x', 'y', 'z', 'id')).ravel()
-    every = whole(points, 'id')
-    labelled, ids = points[every != UNLABELLED], every[every != UNLABELLED]
+    cloud = decode(message, ('x', 'y', 'z', 'id')).ravel()
+    ids, points = whole(cloud, 'id'), xyz(cloud)
+    labelled = ids != UNLABELLED
+    ids, placed = ids[labelled], points[labelled]
     if ids.size and ids.max() >= nodes:
-        raise FrameError(f'marker id {ids.max()} does not fit a model of {nodes} nodes')
+        raise FrameError(
+            f'{len(ids)} markers with ids up to {ids.max()} do not fit a model of {nodes} nodes'
+        )
     if len(np.unique(ids)) != len(ids):
         raise FrameError('a marker id is there twice')
     positions, visible = np.full((nodes, 3), np.nan), np.zeros(nodes, bool)
-    positions[ids], visible[ids] = xyz(labelled), True
-    return positions, visible, len(points) - len(labelled)
+    positions[ids], visible[ids] = placed, True
+    return positions, visible, points[~labelled]
 
 
 def encode_surface(surface: Surface, rows: int, cols: int) -> NDArray[np.void]:

@@ -1,4 +1,4 @@
-"""What the nodes share: parameters to configuration, arrays to messages, spinning, diagnostics."""
+"""What the nodes share: parameters to configuration, arrays to messages, spinning."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import os
 import sys
 import threading
 import time
-from collections import Counter, deque
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -17,10 +16,8 @@ from typing import Any
 import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from numpy.typing import NDArray
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -45,7 +42,6 @@ OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 SHUTDOWN_LIMIT = 5.0
 """Seconds that a node may take to leave, after which its process ends all the same."""
-STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 
 
 class ConfiguredNode(Node):
@@ -120,6 +116,8 @@ def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> in
         rclpy.init(args=args)
     except RuntimeError as error:  # such as a parameter file that rcl cannot parse
         return _fatal(error)
+    leaving = threading.Event()
+    threading.Thread(target=_last_resort, args=(leaving,), daemon=True).start()
     node = None
     try:
         with threadpool_limits(1):
@@ -135,14 +133,23 @@ def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> in
         if rclpy.ok():  # else a signal took the context away in the middle of a call
             raise
     finally:
-        # once in some hundred stops the middleware did not come back from its shutdown
-        last_resort = threading.Timer(SHUTDOWN_LIMIT, os._exit, (0,))
-        last_resort.daemon = True
-        last_resort.start()
+        leaving.set()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _last_resort(leaving: threading.Event) -> None:
+    """End the process where it has not ended by itself some seconds after it had to.
+
+    A long call, such as the reading of a large recording, does not notice a signal, and once in
+    some hundred stops the middleware did not come back from its shutdown.
+    """
+    while rclpy.ok() and not leaving.wait(0.1):
+        pass
+    time.sleep(SHUTDOWN_LIMIT)
+    os._exit(0)
 
 
 def _fatal(error: Exception) -> int:
@@ -194,71 +201,3 @@ def cloud(stamp: int, frame_id: str, points: NDArray[np.void]) -> PointCloud2:
         data=array.array('B', grid.tobytes()),
         is_dense=True,
     )
-
-
-class Diagnostics:
-    """Publishes a node's health once per second of real time."""
-
-    def __init__(
-        self,
-        node: Node,
-        values: Callable[[], dict[str, object]],
-        warning: Callable[[], str] = str,
-        now: Callable[[], Time] | None = None,
-    ) -> None:
-        """Read at each publication: `values` of the node, a `warning` or nothing, `now`."""
-        self.counts: Counter[str] = Counter()
-        self._node, self._values, self._warning = node, values, warning
-        self._now = now or (lambda: node.get_clock().now().to_msg())
-        self._logged: set[str] = set()
-        self._seen: Counter[str] = Counter()
-        self._latencies: deque[float] = deque(maxlen=1000)
-        self._frames = 0
-        self._last = time.monotonic()
-        self._publisher = node.create_publisher(DiagnosticArray, 'diagnostics', 10)
-        node.create_timer(1.0, self._publish, clock=STEADY)
-
-    def frame(self, latency: float) -> None:
-        """Count a frame that took `latency` [s] from its arrival to the last publication."""
-        self._frames += 1
-        self._latencies.append(latency)
-
-    def drop(self, reason: str, text: str) -> None:
-        """Count a frame that cannot be used, and log each cause at most once per second."""
-        self.counts[reason] += 1
-        if text not in self._logged:
-            self._logged.add(text)
-            self._node.get_logger().warning(f'frame dropped: {text}')
-
-    def _publish(self) -> None:
-        now = time.monotonic()
-        rate, self._frames = self._frames / (now - self._last), 0
-        self._last = now
-        values: dict[str, object] = {'rate_hz': f'{rate:.1f}'}
-        if self._latencies:
-            for percent in (50, 99):
-                value = 1e3 * np.percentile(self._latencies, percent)
-                values[f'latency_p{percent}_ms'] = f'{value:.2f}'
-            self._latencies.clear()
-        values.update({f'{k}_frames': v for k, v in sorted(self.counts.items())})
-        values.update(self._values())
-        fresh, self._seen = self.counts - self._seen, self.counts.copy()
-        level, text = DiagnosticStatus.OK, 'running'
-        if rate == 0:
-            level, text = DiagnosticStatus.STALE, 'no frames'
-        self._logged.clear()
-        if warning := self._warning():
-            level, text = DiagnosticStatus.WARN, warning
-            self._node.get_logger().warning(warning)
-        if fresh:
-            level = DiagnosticStatus.WARN
-            text = 'frames dropped: ' + ', '.join(f'{v} {k}' for k, v in fresh.items())
-        status = DiagnosticStatus(
-            level=level,
-            name=self._node.get_fully_qualified_name(),
-            message=text,
-            hardware_id='cloth_predict',
-            values=[KeyValue(key=k, value=str(v)) for k, v in values.items()],
-        )
-        header = Header(stamp=self._now())
-        self._publisher.publish(DiagnosticArray(header=header, status=[status]))

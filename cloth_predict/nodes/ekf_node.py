@@ -1,110 +1,131 @@
-"""Follows the markers and publishes the surface now and Ts ahead."""
+"""Follows the markers and publishes the surface now and ahead."""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
 
-import numpy as np
-from geometry_msgs.msg import Point
-from numpy.typing import NDArray
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from cloth_predict.errors import FrameError
+from cloth_predict import live_check
+from cloth_predict.errors import FrameError, UncertainError
 from cloth_predict.formats.pointcloud import decode_markers, encode_surface
-from cloth_predict.nodes._ros import ConfiguredNode, Diagnostics, cloud, nanoseconds, run, to_time
+from cloth_predict.horizons import PREDICTION, PipelineDelay, topics
+from cloth_predict.limits import Health
+from cloth_predict.nodes._diagnostics import Diagnostics
+from cloth_predict.nodes._mesh import mesh_marker
+from cloth_predict.nodes._ros import ConfiguredNode, cloud, nanoseconds, run
 from cloth_predict.tracker import Step, Tracker
 from cloth_predict.types import Surface
 
 
 class EkfNode(ConfiguredNode):
-    """Drives a Tracker: markers in, estimate, prediction and mesh out."""
+    """Drives a Tracker: markers in, estimate, predictions and mesh out."""
 
     def __init__(self, **options: object) -> None:
         super().__init__('ekf_node', **options)
         self._tracker = Tracker(self.config)
+        self._check = live_check.LiveCheck.of(self.config)
+        self._delay = PipelineDelay(self.config)
         self._step: Step | None = None
-        self._visible = self._unlabelled = 0
+        self._health = Health('OK', 'no frame yet')
+        self._refused: dict[str, str] = {}
+        self._unlabelled = 0
+        self._horizons = topics(self.config)
+        self._predictions = {topic: self.publisher(PointCloud2, topic) for topic in self._horizons}
         self._estimate = self.publisher(PointCloud2, 'cloth/estimate')
-        self._prediction = self.publisher(PointCloud2, 'cloth/prediction')
         self._mesh = self.create_publisher(Marker, 'cloth/mesh', 1)  # as RViz asks for it
-        self._triangles = triangles(self.config.model.rows, self.config.model.cols)
-        self._diagnostics = Diagnostics(self, self._values, self._waiting)
+        self._diagnostics = Diagnostics(self, self._values, self._findings)
         self.subscribe(PointCloud2, 'markers', self._on_markers)
 
     def _on_markers(self, message: PointCloud2) -> None:
-        begin = time.perf_counter()
+        begin, stamp = time.perf_counter(), nanoseconds(message.header.stamp)
+        age = 1e-9 * (self.get_clock().now().nanoseconds - stamp)
         try:
             self.check_frame(message.header)
-            positions, visible, unlabelled = decode_markers(message, self._tracker.nodes)
-            step = self._tracker.step(nanoseconds(message.header.stamp), positions, visible)
+            positions, visible, points = decode_markers(message, self._tracker.nodes)
+            step = self._tracker.step(stamp, positions, visible, points)
         except FrameError as error:
             self._diagnostics.drop('bad', str(error))
             return
-        self._unlabelled += unlabelled
-        if step.outcome == 'late':
-            self._diagnostics.drop('late', 'its stamp is not after the one before')
+        if step.outcome in ('late', 'duplicate'):
+            self._diagnostics.drop(step.outcome, 'its stamp is not after the one before')
             return
-        self._step, self._visible = step, int(visible.sum())
+        self._unlabelled = len(points)
+        self._step = step
+        found: dict[str, Surface] = {}
         if self._tracker.started:
-            try:
-                self._publish()
-            except FrameError as error:
-                self._diagnostics.drop('unpredicted', str(error))
+            found = self._predict(begin, age)
+        else:
+            self._health, self._refused = self._tracker.health(), {}
+        if step.outcome != 'rewound':  # the check takes frames in their order
+            self._check.measured(stamp, step.positions, step.visible)
+            for topic, surface in found.items():
+                self._check.predicted(topic, surface)
         self._diagnostics.frame(time.perf_counter() - begin)
 
-    def _publish(self) -> None:
-        model = self.config.model
-        prediction = self._tracker.predict(self.config.horizon)
-        points = encode_surface(prediction, *model.shape)
-        self._prediction.publish(cloud(prediction.stamp, self.config.frame, points))
-        estimate = self._tracker.estimate()
-        points = encode_surface(estimate, *model.shape)
-        self._estimate.publish(cloud(estimate.stamp, self.config.frame, points))
-        if len(self._triangles) and self._mesh.get_subscription_count():
-            self._mesh.publish(self._mesh_marker(prediction))
+    def _predict(self, begin: float, age: float) -> dict[str, Surface]:
+        """Publish the surface ahead, and then now; returns what is predicted by topic."""
+        self._horizons[PREDICTION], self._refused = self._delay.horizon, {}
+        found = {}
+        for topic, horizon in self._horizons.items():
+            try:
+                found[topic] = self._tracker.predict(horizon)
+                self._publish(self._predictions[topic], found[topic])
+            except UncertainError as error:
+                self._refused[topic] = str(error)
+            except FrameError as error:
+                self._diagnostics.drop('unpredicted', str(error))
+                continue
+            if topic == PREDICTION:  # of which the health speaks
+                self._delay.add(age, time.perf_counter() - begin)
+                self._health = self._tracker.health()
+        if PREDICTION in found:
+            self._publish(self._estimate, self._tracker.estimate())
+            self._draw(found[PREDICTION])
+        return found
 
-    def _mesh_marker(self, surface: Surface) -> Marker:
-        marker = Marker(
-            header=Header(stamp=to_time(surface.stamp), frame_id=self.config.frame),
-            ns='cloth',
-            type=Marker.TRIANGLE_LIST,
-            action=Marker.ADD,
-            color=ColorRGBA(r=0.9, g=0.3, b=0.2, a=0.8),
-        )
-        marker.pose.orientation.w = 1.0
-        marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-        corners = [Point(x=x, y=y, z=z) for x, y, z in surface.position.tolist()]
-        marker.points = [corners[i] for i in self._triangles]
-        return marker
+    def _draw(self, surface: Surface) -> None:
+        triangles = self._tracker.triangles
+        if len(triangles) and self._mesh.get_subscription_count():
+            self._mesh.publish(mesh_marker(surface, triangles, self.config.frame))
 
-    def _waiting(self) -> str:
-        if self._tracker.started or not self._tracker.counts['waiting']:
-            return ''
-        return (
-            f'no surface yet: {self._visible} of {self._tracker.nodes} markers seen, needed are '
-            f'three and every driven node'
-        )
+    def _publish(self, publisher: Publisher, surface: Surface) -> None:
+        points = encode_surface(surface, *self.config.model.shape)
+        publisher.publish(cloud(surface.stamp, self.config.frame, points))
+
+    def _findings(self) -> Iterator[tuple[str, str]]:
+        """What is wrong: with the surface, the clocks, and the predictions so far."""
+        for topic, text in self._refused.items():
+            yield ('ERROR', text) if topic == PREDICTION else ('WARN', f'{topic}: {text}')
+        if self._health.level != 'OK' and PREDICTION not in self._refused:
+            yield self._health.level, self._health.text
+        if self._delay.warning:
+            yield 'WARN', self._delay.warning
+        for topic, realised in self._check.report().items():
+            if text := live_check.warning(realised, self.config.filter.measurement_noise):
+                yield 'WARN', f'{topic}: {text}'
 
     def _values(self) -> dict[str, object]:
-        innovation = self._step.innovation if self._step else None
-        counts = {f'{name}_steps': n for name, n in sorted(self._tracker.counts.items())}
-        return {
-            'visible_markers': f'{self._visible} of {self._tracker.nodes}',
+        step, delay = self._step, self._delay.median
+        innovation = step.innovation if step else None
+        values: dict[str, object] = {
+            'visible_markers': f'{step.visible.sum() if step else 0} of {self._tracker.nodes}',
             'unlabelled_markers': self._unlabelled,
             'nis': f'{innovation.nis:.1f} of {len(innovation.residual)}' if innovation else 'none',
-            **counts,
+            'health': self._health.text,
+            'horizon_ms': f'{1e3 * self._delay.horizon:.1f}',
+            'pipeline_delay_ms': 'unknown' if delay is None else f'{1e3 * delay:.1f}',
+            **{f'{name}_steps': n for name, n in sorted(self._tracker.counts.items())},
+            **{f'{name}_markers': n for name, n in sorted(self._tracker.markers.items())},
         }
-
-
-def triangles(rows: int, cols: int) -> list[int]:
-    """Node indices of two triangles per cell of a grid, shape (6 cells,)."""
-    node: NDArray[np.int64] = np.arange(rows * cols).reshape(rows, cols)
-    a, b, c, d = node[:-1, :-1], node[:-1, 1:], node[1:, :-1], node[1:, 1:]
-    indices: list[int] = np.stack([a, c, b, b, c, d], axis=-1).ravel().tolist()
-    return indices
+        for topic, realised in self._check.report().items():
+            end = topic.removeprefix(PREDICTION)
+            values |= {f'{k}{end}': v for k, v in live_check.values(realised).items()}
+        return values
 
 
 def main(args: list[str] | None = None) -> int:

@@ -16,7 +16,8 @@ from cloth_predict.association import markers_of_nodes
 from cloth_predict.errors import ConfigError
 from cloth_predict.formats.pointcloud import encode_markers
 from cloth_predict.formats.recording import read
-from cloth_predict.nodes._ros import STEADY, ConfiguredNode, Diagnostics, cloud, run, to_time
+from cloth_predict.nodes._diagnostics import STEADY, Diagnostics
+from cloth_predict.nodes._ros import ConfiguredNode, cloud, run, to_time
 
 LINGER = 0.5
 """Seconds after the last frame before the node ends, so that it still arrives."""

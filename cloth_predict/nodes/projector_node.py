@@ -11,7 +11,8 @@ from sensor_msgs.msg import PointCloud2
 
 from cloth_predict.errors import FrameError
 from cloth_predict.formats.pointcloud import SCANLINE, WARPED, decode, xyz
-from cloth_predict.nodes._ros import ConfiguredNode, Diagnostics, cloud, nanoseconds, run
+from cloth_predict.nodes._diagnostics import Diagnostics
+from cloth_predict.nodes._ros import ConfiguredNode, cloud, nanoseconds, run
 from cloth_predict.projection.pinhole import Pinhole
 from cloth_predict.projection.scanout import moved, row_times
 from cloth_predict.types import FloatArray
