@@ -29,28 +29,6 @@ class Match:
     missing: int
 
 
-@dataclass(frozen=True)
-class Associated:
-    """The measurement of each node.
-
-    positions [m], shape (nodes, 3), NaN where there is none; visible, shape (nodes,);
-    relabelled: labelled markers that are at another node than that of their label; rejected:
-    labelled markers at no node; matched and ghosts: points at a node, and at none.
-    """
-
-    positions: FloatArray
-    visible: BoolArray
-    relabelled: int = 0
-    rejected: int = 0
-    matched: int = 0
-    ghosts: int = 0
-
-    @classmethod
-    def as_labelled(cls, positions: FloatArray, visible: BoolArray) -> Associated:
-        """Every labelled marker is at the node of its label."""
-        return cls(np.where(visible[:, None], positions, np.nan), visible)
-
-
 def markers_of_nodes(sequence: MarkerSequence, config: Config, source: str) -> MarkerSequence:
     """Put a recording's markers in node order, as chosen by the parameter `labels`.
 
@@ -116,45 +94,6 @@ def match(
     return Match(node, len(points) - found, len(predicted) - found)
 
 
-def associate(
-    predicted: FloatArray,
-    covariances: FloatArray,
-    labelled: Associated,
-    points: FloatArray,
-    sure: BoolArray,
-    overdue: BoolArray,
-    gate: float = GATE,
-) -> Associated:
-    """Find the measurement of each node among labelled markers and points without a label.
-
-    predicted, covariances, points and gate as in `match`; sure, shape (nodes,): nodes whose label
-    is not doubted. A labelled marker outside the gate of its node counts as one without a label.
-    Those, and the points, are matched to the nodes that have no marker yet. What then is left of a
-    node that is overdue, shape (nodes,), is believed after all. Raises FrameError for a visible
-    marker or a point that is not finite.
-    """
-    positions, visible = labelled.positions.copy(), labelled.visible & sure
-    doubted = np.flatnonzero(labelled.visible & ~sure)
-    error = checked(positions[doubted]) - predicted[doubted]
-    visible[doubted] = inside(error, covariances[doubted], gate)
-    far, open_ = doubted[~visible[doubted]], np.flatnonzero(~visible)
-    pool = np.concatenate([positions[far], checked(points)])
-    positions[open_] = np.nan
-    node = match(predicted[open_], covariances[open_], pool, gate).node
-    positions[open_], visible[open_] = in_node_order(node, pool, len(open_))
-    relabelled = node[: len(far)] >= 0
-    believed = ~relabelled & overdue[far] & ~visible[far]
-    positions[far[believed]], visible[far[believed]] = pool[: len(far)][believed], True
-    moved, matched = int(relabelled.sum()), int((node[len(far) :] >= 0).sum())
-    rejected = len(far) - moved - int(believed.sum())
-    return Associated(positions, visible, moved, rejected, matched, len(points) - matched)
-
-
-def inside(error: FloatArray, covariances: FloatArray, gate: float) -> BoolArray:
-    """Whether errors [m], (m, 3), lie in the gate of their covariances [m^2], (m, 3, 3)."""
-    return np.asarray(squared(error, covariances) < limit_of(gate))
-
-
 def in_node_order(node: IntArray, points: FloatArray, nodes: int) -> tuple[FloatArray, BoolArray]:
     """Positions [m], shape (nodes, 3), NaN where there is no point, and visible, shape (nodes,).
 
@@ -192,7 +131,7 @@ def _candidates(
     predicted: FloatArray, covariances: FloatArray, points: FloatArray, limit: float
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Nodes i, points j and squared distances, each (pairs,), of all pairs inside the gate."""
-    if not len(points):
+    if not len(points) or not len(predicted):
         return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
     # the trace bounds the largest eigenvalue, so that the sphere holds the ellipsoid of the gate
     radius = np.sqrt(limit * np.trace(covariances, axis1=1, axis2=2))

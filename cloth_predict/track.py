@@ -10,14 +10,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cloth_predict.association import Associated, associate, inside
 from cloth_predict.config import Config
 from cloth_predict.driven import DrivenNodes
 from cloth_predict.filters.linear import nearest_positive_definite
+from cloth_predict.identification import Expected, Identified, identify, inside, no_points
 from cloth_predict.motion import NANOSECONDS, moved, rows
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.starting import Start
 from cloth_predict.types import Belief, BoolArray, FloatArray, Gaussian, Innovation, IntArray
+
+DOUBTFUL = 0.1
+"""Time [s] after which a node that was not seen takes no point that was not there before: its gate
+is wide by then, and ghosts come and go."""
+FASTEST = 5.0
+"""Speed [m/s] that no marker exceeds."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +67,16 @@ class Step:
 
 @dataclass(frozen=True)
 class Track:
-    """The surface after a frame at `stamp` [ns]; last, shape (nodes,): when each was seen [ns]."""
+    """The surface after a frame at `stamp` [ns].
+
+    last [ns], shape (nodes,): when each node was seen; left [m], shape (k, 3): markers of the
+    frame that were at no node.
+    """
 
     stamp: int
     now: Start
     last: IntArray
+    left: FloatArray = field(default_factory=no_points)
 
 
 def begin(start: Start, frame: Frame, config: Config) -> tuple[Track, Step]:
@@ -105,7 +116,7 @@ def _follow(track: Track, frame: Frame, config: Config) -> tuple[Track, Step]:
     sound = (np.diagonal(belief.marginals(rows(arrived.now)), axis1=1, axis2=2) > 0).all()
     belief = belief if sound else _repaired(belief)
     last = np.where(found.visible, frame.stamp, track.last)
-    after = Track(frame.stamp, replace(arrived.now, belief=belief), last)
+    after = Track(frame.stamp, replace(arrived.now, belief=belief), last, found.left)
     counted = _counted(found)
     return after, Step(
         'updated', found.positions, found.visible, innovation, counted, int(not sound)
@@ -127,10 +138,10 @@ def _in_place(driven: DrivenNodes, track: Track, frame: Frame, config: Config) -
     return own
 
 
-def _identified(track: Track, frame: Frame, own: BoolArray, config: Config) -> Associated:
+def _identified(track: Track, frame: Frame, own: BoolArray, config: Config) -> Identified:
     """Which marker is which node of a track that was moved to the frame; own: known already."""
     mesh, settings = track.now.mesh, config.association
-    labelled = Associated.as_labelled(frame.positions, frame.visible)
+    labelled = Identified.as_labelled(frame.positions, frame.visible)
     sure = own if settings.check_labels else frame.visible
     if not len(frame.points) and not (frame.visible & ~sure).any():
         return labelled
@@ -140,8 +151,11 @@ def _identified(track: Track, frame: Frame, own: BoolArray, config: Config) -> A
     spread[mesh.free] = track.now.belief.marginals(rows(track.now))
     spread[mesh.driven] = track.now.driven.variances(0.0)[:, None, None] * np.eye(3)
     spread += _allowance(track, frame, config)
-    overdue = frame.stamp - track.last > settings.patience * NANOSECONDS
-    return associate(predicted, spread, labelled, frame.points, sure, overdue, settings.gate)
+    unseen = (frame.stamp - track.last) / NANOSECONDS
+    doubtful, overdue = unseen > DOUBTFUL, unseen > settings.patience
+    expected = Expected(predicted, spread, sure, doubtful, overdue)
+    reach = FASTEST * (frame.stamp - track.stamp) / NANOSECONDS
+    return identify(expected, labelled, frame.points, track.left, reach, settings.gate)
 
 
 def _allowance(track: Track, frame: Frame, config: Config) -> FloatArray:
@@ -153,7 +167,7 @@ def _allowance(track: Track, frame: Frame, config: Config) -> FloatArray:
     return np.asarray(variance[:, None, None] * np.eye(3))
 
 
-def _updated(now: Start, found: Associated, config: Config) -> tuple[Belief, Innovation]:
+def _updated(now: Start, found: Identified, config: Config) -> tuple[Belief, Innovation]:
     seen = np.flatnonzero(found.visible[now.mesh.free])
     obs = VisiblePositions.of_nodes(seen, config.filter.measurement_noise)
     z = found.positions[now.mesh.free[seen]].ravel()
@@ -173,7 +187,7 @@ def _repaired(belief: Belief) -> Belief:
     return replace(belief, cov=nearest_positive_definite(belief.cov))
 
 
-def _counted(found: Associated) -> Counter[str]:
+def _counted(found: Identified) -> Counter[str]:
     return Counter(
         relabelled=found.relabelled,
         rejected=found.rejected,

@@ -9,12 +9,14 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from cloth_predict.assembly import rest_shape
-from cloth_predict.association import Associated, associate, in_node_order, limit_of, match
+from cloth_predict.association import in_node_order, limit_of, match
 from cloth_predict.config import build, load
 from cloth_predict.errors import FrameError
 from cloth_predict.formats.recording import read
+from cloth_predict.identification import Expected, Identified, identify
 from cloth_predict.matching import find_grid, lattice_angle
 
+NO_POINTS = np.zeros((0, 3))
 ROOT = Path(__file__).parents[1]
 SIGMA = 0.003
 """Standard deviation [m] of the marker positions about the predicted ones."""
@@ -37,11 +39,13 @@ def isotropic(nodes, sigma=SIGMA):
     return np.tile(sigma**2 * np.eye(3), (nodes, 1, 1))
 
 
-def checked(predicted, cov, positions, visible, points=None, sure=(), overdue=(), gate=0.999):
-    labelled = Associated.as_labelled(positions, visible)
-    places = np.zeros((0, 3)) if points is None else points
-    flags = (np.isin(np.arange(len(visible)), list(chosen)) for chosen in (sure, overdue))
-    return associate(predicted, cov, labelled, places, *flags, gate)
+def checked(
+    predicted, cov, positions, visible, points=NO_POINTS, sure=(), overdue=(), doubtful=(),
+    earlier=NO_POINTS, gate=0.999,
+):  # fmt: skip
+    flags = (np.isin(np.arange(len(visible)), list(of)) for of in (sure, doubtful, overdue))
+    labelled = Identified.as_labelled(positions, visible)
+    return identify(Expected(predicted, cov, *flags), labelled, points, earlier, 0.05, gate)
 
 
 def outcome(found):
@@ -146,6 +150,11 @@ def test_no_points():
     assert (found.node.shape, found.ghosts, found.missing) == ((0,), 0, 20)
 
 
+def test_no_nodes():
+    found = match(np.zeros((0, 3)), np.zeros((0, 3, 3)), grid()[:2])
+    assert (found.node.tolist(), found.ghosts, found.missing) == ([-1, -1], 2, 0)
+
+
 @pytest.mark.parametrize('value', [np.nan, np.inf])
 def test_points_that_are_not_finite_are_named(value):
     shape = grid()
@@ -214,16 +223,31 @@ def test_points_go_to_the_nodes_that_have_no_marker():
     points = shape[[17, 2, 4, 16]] + 0.001  # of a node without marker, and of node 4 a second one
     found = checked(shape, isotropic(20), given, visible, points)
     assert outcome(found) == (0, 1, 3, 1)
+    np.testing.assert_array_equal(found.left, [given[2], points[2]])
     assert np.flatnonzero(~found.visible).tolist() == [15, 18, 19]
     np.testing.assert_array_equal(found.positions[[17, 2, 16]], points[[0, 1, 3]])
     np.testing.assert_array_equal(found.positions[4], shape[4])
+
+
+def test_a_node_not_seen_for_long_takes_only_what_was_there_before():
+    shape, visible = grid(), np.arange(20) < 18
+    points = shape[[18, 19]] + 0.001
+    earlier = shape[[19]] + [[0.0, 0.0, 0.04]]  # within reach of 0.05 m of the second
+    found = checked(shape, isotropic(20), shape, visible, points, doubtful=[19], earlier=earlier)
+    assert (outcome(found), found.visible.all()) == ((0, 0, 2, 0), True)
+    for before, doubtful in ((NO_POINTS, [19]), (earlier + 0.02, [18, 19])):
+        found = checked(
+            shape, isotropic(20), shape, visible, points, doubtful=doubtful, earlier=before
+        )
+        assert outcome(found) == (0, 0, 2 - len(doubtful), len(doubtful))
+        np.testing.assert_array_equal(found.left, points[[d - 18 for d in doubtful]])
 
 
 def test_a_sure_label_is_not_doubted_and_an_overdue_one_is_believed_last():
     shape, given, every = grid(), grid(), np.ones(20, bool)
     given[[2, 3]] += OFF
     given[[8, 9]] = shape[[9, 8]]
-    found = checked(shape, isotropic(20), given, every, None, [2], [3, 8, 9])
+    found = checked(shape, isotropic(20), given, every, NO_POINTS, [2], [3, 8, 9])
     assert outcome(found) == (2, 0, 0, 0)
     np.testing.assert_array_equal(found.positions[[2, 3]], given[[2, 3]])
     np.testing.assert_array_equal(found.positions[[8, 9]], shape[[8, 9]])
