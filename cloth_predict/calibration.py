@@ -11,6 +11,7 @@ from cloth_predict.assembly import lengths_of
 from cloth_predict.topology import Topology
 from cloth_predict.types import BoolArray, FloatArray, IntArray
 
+NEVER = np.iinfo(np.int64).min
 ROUNDING = 1e-6
 """Seconds by which stamps are rounded."""
 
@@ -29,7 +30,8 @@ class Calibration:
     def __init__(self, duration: float) -> None:
         self.duration = duration
         self.last = np.zeros((0, 3))
-        """Where each node was last seen [m], shape (nodes, 3)."""
+        """Where each node was last seen [m], shape (nodes, 3); filled in where never."""
+        self._seen = np.zeros(0, np.int64)
         self._frames: deque[Frame] = deque()
         self._begin = 0
 
@@ -42,12 +44,14 @@ class Calibration:
         """Start anew with a frame; surface [m], shape (nodes, 3): its hidden nodes filled in."""
         self._frames.clear()
         self._begin, self.last = frame.stamp, surface
+        self._seen = np.full(len(surface), NEVER)
         self.add(frame)
 
     def add(self, frame: Frame) -> None:
         """Take a frame later than the last."""
         self._frames.append(frame)
         self.last = np.where(frame.visible[:, None], frame.positions, self.last)
+        self._seen = np.where(frame.visible, frame.stamp, self._seen)
         while self._frames[0].stamp < frame.stamp - self.duration * 1e9:
             self._frames.popleft()
 
@@ -64,6 +68,12 @@ class Calibration:
     def complete(self) -> bool:
         """Whether the frames last long enough."""
         return self.elapsed >= self.duration - ROUNDING
+
+    @property
+    def unseen(self) -> FloatArray:
+        """Time [s] for which each node has not been seen, shape (nodes,), infinite of never."""
+        since = (self._frames[-1].stamp - self._seen) / 1e9
+        return np.where(self._seen == NEVER, np.inf, since)
 
     def lengths(self, pairs: IntArray) -> FloatArray:
         """Return the median lengths [m] of pairs of nodes, NaN where unknown, shape (pairs,)."""

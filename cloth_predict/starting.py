@@ -129,7 +129,22 @@ class Starter:
         surface, spread = complete(self._config.model, frame.positions, frame.visible, joined)
         lengths = self._lengths(frame, joined, surface)
         self._require(frame)
+        if self._calibration.running:
+            surface, spread = self._remembered(frame, joined, spread)
         return _built(self._config, surface, spread, joined, lengths)
+
+    def _remembered(
+        self, frame: Frame, joined: Topology, spread: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Surface and spread [m] where hidden nodes seen a little while ago are still there.
+
+        That is while they cannot have gone farther than what filling them in has for an error.
+        """
+        gone = self._config.filter.initial_velocity * self._calibration.unseen
+        there = gone < spread
+        positions = np.where(there[:, None], self._calibration.last, frame.positions)
+        surface, _ = complete(self._config.model, positions, frame.visible | there, joined)
+        return surface, np.where(there, gone, spread)
 
     def _lengths(self, frame: Frame, joined: Topology, surface: FloatArray) -> FloatArray:
         """Rest lengths [m], shape (springs,). Raises FrameError while calibrating."""
