@@ -67,9 +67,9 @@ setup(
     entry_points={
         'console_scripts': [
             'cloth-predict = cloth_predict.cli:main',
-            'mocap_replay_node = cloth_predict.nodes.mocap_replay_node:main',
-            'ekf_node = cloth_predict.nodes.ekf_node:main',
-            'projector_node = cloth_predict.nodes.projector_node:main',
+            'mocap_replay_node = cloth_predict.nodes.start:mocap_replay_node',
+            'ekf_node = cloth_predict.nodes.start:ekf_node',
+            'projector_node = cloth_predict.nodes.start:projector_node',
         ],
     },
 )

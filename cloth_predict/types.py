@@ -117,6 +117,16 @@ class MarkerSequence:
             self.frame_id,
         )
 
+    def beside(self, other: MarkerSequence) -> MarkerSequence:
+        """Return the recording with the marker columns of another of the same frames after it."""
+        return MarkerSequence(
+            self.stamps,
+            self.labels + other.labels,
+            np.concatenate([self.positions, other.positions], axis=1),
+            np.concatenate([self.visible, other.visible], axis=1),
+            self.frame_id,
+        )
+
 
 @dataclass(frozen=True)
 class Surface:

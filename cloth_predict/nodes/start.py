@@ -1,0 +1,28 @@
+"""Starts a node; imports nothing heavy, so that a signal is obeyed from the first moment on."""
+
+from __future__ import annotations
+
+import signal
+from importlib import import_module
+
+
+def mocap_replay_node() -> int:
+    """Run the replay node."""
+    return _start('mocap_replay_node')
+
+
+def ekf_node() -> int:
+    """Run the EKF node."""
+    return _start('ekf_node')
+
+
+def projector_node() -> int:
+    """Run the projector node."""
+    return _start('projector_node')
+
+
+def _start(name: str) -> int:
+    # Until rclpy listens for it, Ctrl-C ends the process at once, not with a traceback of the
+    # half second in which the node is imported.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    return int(import_module(f'cloth_predict.nodes.{name}').main())
