@@ -77,7 +77,7 @@ class Modes:
         for k, group in enumerate(groups):
             for axis in range(3):
                 found[k, :, axis, k, :, axis] = (self.shapes.T * group[:, axis]) @ self.shapes
-        return found.reshape((3 * rank * len(groups),) * 2)
+        return symmetric(found.reshape((3 * rank * len(groups),) * 2))
 
     @staticmethod
     def _apply(matrix: FloatArray, values: FloatArray) -> FloatArray:
