@@ -85,7 +85,9 @@ def delaunay(points: FloatArray) -> Topology:
     number[kept[:, 0], kept[:, 1]] = np.arange(len(kept))
     of_triangle = number[sides[..., 0], sides[..., 1]]
     whole = (of_triangle >= 0).all(axis=1)
-    return _mesh(kept, _opposite(triangles[whole], of_triangle[whole]), triangles[whole])
+    opposite = _opposite(triangles[whole], of_triangle[whole])
+    apart = number[opposite[:, 0], opposite[:, 1]] < 0  # round a node with three neighbours
+    return _mesh(kept, opposite[apart], triangles[whole])
 
 
 def adjacency(nodes: int, edges: IntArray, weight: FloatArray | float = 1.0) -> sparse.csr_array:
@@ -176,7 +178,7 @@ def _unrolled(points: FloatArray, axis: int) -> IntArray:
 
 
 def _opposite(triangles: IntArray, sides: IntArray) -> IntArray:
-    """Pairs of opposite corners of triangles with a common side, shape (pairs, 2).
+    """Pairs of opposite corners of triangles with a common side, each once, shape (pairs, 2).
 
     sides, shape (t, 3): the number of the edge from corner k to k + 1; opposite is corner k + 2.
     """
@@ -184,4 +186,4 @@ def _opposite(triangles: IntArray, sides: IntArray) -> IntArray:
     order = np.argsort(side, kind='stable')
     shared = np.flatnonzero(np.diff(side[order]) == 0)
     pairs = np.column_stack([corner[order[shared]], corner[order[shared + 1]]])
-    return np.sort(pairs, axis=1)
+    return np.unique(np.sort(pairs, axis=1), axis=0)
