@@ -9,14 +9,17 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from cloth_predict import __version__
+from cloth_predict import __version__, report
 from cloth_predict import commands as run
 from cloth_predict.config import Config
+from cloth_predict.degrade import Degradation
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
+from cloth_predict.filters.family import FILTERS
 from cloth_predict.share import find
 from cloth_predict.simulate import SCENARIOS
 
@@ -74,17 +77,32 @@ def _parser() -> argparse.ArgumentParser:
     predict = command('predict', _predict, 'predict a recording and write a bag of predictions')
     predict.add('bag', type=Path)
     predict.config().output_bag()
-    evaluate = command('evaluate', _evaluate, 'compare predictors on a recording')
-    evaluate.add('bag', type=Path)
+    evaluate = command('evaluate', _evaluate, 'compare predictors on recordings')
+    evaluate.add('bag', type=Path, nargs='+', help='recording; several are told apart and pooled')
     evaluate.config().json()
     evaluate.add(
         '--horizon',
         type=_horizon,
         nargs='+',
+        default=[],
         metavar='S',
         help='how far ahead to predict, in seconds; default: the configured one',
     )
+    evaluate.add(
+        '--filters',
+        nargs='+',
+        default=[],
+        choices=[*FILTERS, 'all'],
+        metavar='KIND',
+        help=f'filters to compare: {", ".join(FILTERS)}, or all; default: the configured one',
+    )
+    evaluate.add(
+        '--best-baselines',
+        action='store_true',
+        help='give kf_cv and kf_ca the noise of the least error on each recording and horizon',
+    )
     evaluate.add('-o', '--output', type=Path, help='folder for tables, figures and configuration')
+    evaluate.degradation()
     return parser
 
 
@@ -109,9 +127,61 @@ class _Command:
         self.add('--json', action='store_true', help='print one JSON object and nothing else')
         return self
 
+    def degradation(self) -> _Command:
+        """Options that make the recording worse; what it is compared with stays."""
+        self.add('--drop', type=_share, default=0.0, metavar='SHARE', help='hide samples')
+        self.add(
+            '--burst', type=_positive, default=0.0, metavar='S', help='length of each such gap'
+        )
+        self.add(
+            '--gone',
+            nargs=2,
+            default=(0, 0.0),
+            metavar=('MARKERS', 'S'),
+            action=_Gone,
+            help='hide so many markers for so long, show all for as long, and again',
+        )
+        self.add(
+            '--swap',
+            type=_share,
+            default=0.0,
+            metavar='SHARE',
+            help='swap two labels in this share of the frames',
+        )
+        self.add(
+            '--unlabelled',
+            action='store_true',
+            help='take the labels away, but for hold, kf_cv and kf_ca, which need them',
+        )
+        self.add('--seed', type=_whole, default=0, help='of what is hidden, swapped or shuffled')
+        return self
+
     def output_bag(self) -> _Command:
         self.add('-o', '--output', type=Path, required=True, help='bag to write (a folder)')
         return self
+
+
+class _Gone(argparse.Action):
+    """A number of markers and a time in seconds."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option: str | None = None,
+    ) -> None:
+        try:
+            namespace.gone = _whole(values[0]), _positive(values[1])
+        except (ValueError, argparse.ArgumentTypeError) as error:
+            raise argparse.ArgumentError(self, str(error)) from None
+
+
+def _share(text: str) -> float:
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f'{text} is not a share from 0 to 1')
+    return value
 
 
 def _positive(text: str) -> float:
@@ -163,15 +233,22 @@ def _predict(options: argparse.Namespace) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
+    gone, gone_for = options.gone
+    worse = Degradation(
+        options.drop,
+        options.burst,
+        gone,
+        gone_for,
+        options.swap,
+        options.unlabelled,
+        options.seed,
+    )
+    ladder = run.Ladder(
+        tuple(options.horizon), tuple(options.filters), options.best_baselines, worse
+    )
     with _bar('evaluate', 'frame')(0) as bar:
-        found = run.evaluate(
-            options.bag, options.config, options.horizon, options.output, _counted(bar)
-        )
-    if options.json:
-        summaries = [e.summary() for e in found]
-        print(json.dumps(summaries[0] if len(summaries) == 1 else summaries))
-    else:
-        print('\n\n'.join(f'{run.table(e)}\n{run.details(e)}' for e in found))
+        found = run.evaluate(options.bag, options.config, ladder, options.output, _counted(bar))
+    print(json.dumps(report.summaries(found)) if options.json else report.text(found))
 
 
 def _demo(options: argparse.Namespace) -> None:

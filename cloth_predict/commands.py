@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable
-from math import isnan, nan
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cloth_predict import config as configuration
 from cloth_predict import simulate as simulation
-from cloth_predict.association import markers_of_nodes
+from cloth_predict.cases import case_of, split
 from cloth_predict.config import Config
-from cloth_predict.errors import FormatError
-from cloth_predict.evaluation import Evaluation
-from cloth_predict.evaluation import evaluate as compare
-from cloth_predict.formats.bag import Recording, create_bag, write_recording
+from cloth_predict.degrade import NOTHING, Degradation, degraded
+from cloth_predict.errors import FormatError, FrameError
+from cloth_predict.evaluation import Evaluation, compare, pooled
+from cloth_predict.filters.family import FILTERS
+from cloth_predict.formats.bag import BagWriter, create_bag, write_recording
 from cloth_predict.formats.pointcloud import encode_markers, encode_surface
 from cloth_predict.formats.recording import read
-from cloth_predict.predictors import METHODS
+from cloth_predict.predictors import Make, methods
+from cloth_predict.report import report
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import MarkerSequence
 
@@ -42,60 +47,103 @@ def convert(source: Path, output: Path) -> MarkerSequence:
 
 
 def predict(source: Path, config_path: Path, output: Path, progress: Progress) -> Counter[str]:
-    """Write the estimate and the prediction of every frame; returns what became of the frames."""
+    """Write the estimate and the prediction of every frame; returns what became of the frames.
+
+    A frame without a prediction is counted as `unpredicted`.
+    """
     keep_source(source, output)
     config = configuration.load(config_path)
-    markers = markers_of_nodes(read(source).markers, config, str(source))
-    tracker, frame_id = Tracker(config), config.frame
-    rows, cols = config.model.shape
-    with create_bag(output, markers.labels) as bag:
+    markers, strangers = split(read(source).markers, config, str(source))
+    tracker, unpredicted, latest = Tracker(config), 0, None
+    with create_bag(output, markers.labels + strangers.labels) as bag:
         for k, stamp in enumerate(markers.stamps.tolist()):
-            positions, visible = markers.positions[k], markers.visible[k]
-            points = encode_markers(positions, visible, markers.unlabelled)
-            bag.cloud('/markers', stamp, frame_id, points)
-            outcome = tracker.step(stamp, positions, visible).outcome
-            if tracker.started and outcome != 'late':
-                for topic, surface in (
-                    ('/cloth/estimate', tracker.estimate()),
-                    ('/cloth/prediction', tracker.predict(config.horizon)),
-                ):
-                    cloud = encode_surface(surface, rows, cols)
-                    bag.cloud(topic, surface.stamp, frame_id, cloud)
+            bag.cloud('/markers', stamp, config.frame, _cloud(markers, strangers, k))
+            points = strangers.positions[k][strangers.visible[k]]
+            tracker.step(stamp, markers.positions[k], markers.visible[k], points)
+            if tracker.started:
+                try:
+                    latest = _write(bag, tracker, config, latest)
+                except FrameError:
+                    unpredicted += 1
             progress(1, len(markers))
-    return tracker.counts
+    return tracker.counts + Counter(unpredicted=unpredicted)
+
+
+def _cloud(markers: MarkerSequence, strangers: MarkerSequence, k: int) -> NDArray[np.void]:
+    """Markers of a frame, those without a label after the others."""
+    unlabelled = np.arange(len(markers.labels) + len(strangers.labels)) >= len(markers.labels)
+    positions = np.concatenate([markers.positions[k], strangers.positions[k]])
+    visible = np.concatenate([markers.visible[k], strangers.visible[k]])
+    return encode_markers(positions, visible, unlabelled)
+
+
+def _write(bag: BagWriter, tracker: Tracker, config: Config, latest: int | None) -> int:
+    """Write the estimate and the prediction, once for each stamp [ns]; returns the latest."""
+    estimate = tracker.estimate()
+    if latest is not None and estimate.stamp == latest:
+        return latest  # a late frame: at that stamp there is one already
+    prediction = tracker.predict(config.horizon)
+    for topic, surface in (('/cloth/estimate', estimate), ('/cloth/prediction', prediction)):
+        cloud = encode_surface(surface, *config.model.shape)
+        bag.cloud(topic, surface.stamp, config.frame, cloud)
+    return estimate.stamp
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """What to compare: horizons [s], none of them means the configured one; kinds of filters.
+
+    filters: choices of `filter.kind`, or `all`; none of them means the configured one.
+    best_baselines: whether the kinematic filters get the noise that serves them best.
+    """
+
+    horizons: tuple[float, ...] = ()
+    filters: tuple[str, ...] = ()
+    best_baselines: bool = False
+    degradation: Degradation = NOTHING
+
+    def methods(self, config: Config) -> dict[str, Make]:
+        """Return the methods by name."""
+        kinds = FILTERS if 'all' in self.filters else self.filters or [config.filter.kind]
+        return methods(kinds)
 
 
 def evaluate(
-    source: Path,
+    sources: Sequence[Path],
     config_path: Path,
-    horizons: list[float] | None,
+    ladder: Ladder,
     output: Path | None,
     progress: Progress,
 ) -> list[Evaluation]:
-    """Compare the predictors at each horizon; writes tables and figures into a folder if given."""
+    """Compare the predictors at each horizon on each recording and, if several, on all together.
+
+    Writes tables, numbers and figures into a folder if one is given.
+    """
     config = configuration.load(config_path)
-    recording = read(source)
-    markers = markers_of_nodes(recording.markers, config, str(source))
-    reference = reference_of(recording, markers)
-    chosen = horizons or [config.horizon]
-    if output is not None:
-        make_folder(output)
-    total = len(chosen) * len(METHODS) * len(markers)
-    found = [
-        compare(
-            markers,
-            config,
-            h,
-            reference,
-            progress=lambda done: progress(done, total),
-            source=str(source),
-        )
-        for h in chosen
+    cases = [
+        degraded(case_of(read(source), config, str(source)), ladder.degradation)
+        for source in sources
     ]
     if output is not None:
-        for evaluation in found:
-            report(evaluation, config, output, f'_{1e3 * evaluation.horizon:g}ms')
-    return found
+        make_folder(output)
+    makers = ladder.methods(config)
+    total = len(makers) * sum(len(case.markers) for case in cases)
+    found = [
+        compare(
+            case,
+            config,
+            ladder.horizons or (config.horizon,),
+            makers,
+            ladder.best_baselines,
+            progress=lambda done: progress(done, total),
+        )
+        for case in cases
+    ]
+    if len(found) > 1:
+        found.append([pooled(one, config) for one in zip(*found, strict=True)])
+    if output is not None:
+        report(found, config, output)
+    return [evaluation for of_bag in found for evaluation in of_bag]
 
 
 def keep_source(source: Path, output: Path) -> None:
@@ -111,60 +159,3 @@ def make_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FormatError(f'{path}: cannot be written: {error.strerror}') from None
-
-
-def reference_of(recording: Recording, markers: MarkerSequence) -> MarkerSequence | None:
-    """Return the true motion of the markers in use, or None where the recording has none."""
-    if recording.truth is None:
-        return None
-    truth = recording.truth.markers(recording.markers)
-    return truth.select([truth.labels.index(label) for label in markers.labels])
-
-
-def report(evaluation: Evaluation, config: Config, output: Path, suffix: str = '') -> None:
-    """Write the tables, the figures and the configuration used into a folder."""
-    from cloth_predict import figures  # matplotlib takes half a second to import
-
-    (output / f'table{suffix}.txt').write_text(table(evaluation) + '\n', encoding='utf-8')
-    (output / f'details{suffix}.txt').write_text(details(evaluation) + '\n', encoding='utf-8')
-    (output / 'config.yaml').write_text(configuration.dump(config), encoding='utf-8')
-    figures.error_over_time(evaluation, output / f'error{suffix}.png')
-    rows, cols = config.model.rows, config.model.cols
-    figures.snapshots(evaluation, rows, cols, output / f'snapshots{suffix}.png')
-
-
-def table(evaluation: Evaluation) -> str:
-    """Return the comparison as text."""
-    lines = [
-        f'predicted {1e3 * evaluation.horizon:g} ms ahead, {len(evaluation.targets)} frames, '
-        'errors in mm, 95 % interval of the RMS',
-        f'{"method":10} {"RMS":>8} {"free":>8} {"p95":>8} {"max":>8} {"interval":>15} '
-        f'{"us/frame":>9}',
-    ]
-    for name, s in evaluation.scores.items():
-        numbers = ' '.join(f'{v:8.2f}' for v in (s.rmse_mm, s.rmse_free_mm, s.p95_mm, s.max_mm))
-        low, high = s.rmse_95_mm
-        interval = '-' if isnan(low) else f'{low:.2f}-{high:.2f}'
-        lines.append(f'{name:10} {numbers} {interval:>15} {evaluation.us_per_frame[name]:9.0f}')
-    return '\n'.join(lines)
-
-
-def details(evaluation: Evaluation) -> str:
-    """Return the coverage, the NIS and the errors by speed as text."""
-    ends = [found.up_to_m_s for found in next(iter(evaluation.details.values())).by_speed]
-    speeds = ' '.join(f'{_number(end, "<= ", " m/s"):>12}' for end in ends)
-    lines = [
-        'free nodes: share of errors within 1, 2, 3 sigma; NIS per degree of freedom; RMS in mm '
-        'by speed',
-        f'{"method":10} {"1 sigma":>8} {"2 sigma":>8} {"3 sigma":>8} {"NIS":>8} {speeds}',
-    ]
-    for name, found in evaluation.details.items():
-        shares = [100 * share for share in found.coverage or (nan, nan, nan)]
-        numbers = ' '.join(f'{_number(share, unit=" %", digits=1):>8}' for share in shares)
-        errors = ' '.join(f'{_number(part.rmse_mm):>12}' for part in found.by_speed)
-        lines.append(f'{name:10} {numbers} {_number(found.nis):>8} {errors}')
-    return '\n'.join(lines)
-
-
-def _number(value: float, before: str = '', unit: str = '', digits: int = 2) -> str:
-    return '-' if isnan(value) else f'{before}{value:.{digits}f}{unit}'

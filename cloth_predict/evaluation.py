@@ -1,244 +1,180 @@
-"""Compares predictors on one recording: the same frames and markers for every method."""
+"""Compares predictors on recordings: the same frames and markers for every method."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from math import isnan, nan
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from math import isfinite, nan
 from typing import Any
 
 import numpy as np
 
+from cloth_predict.baselines import best_noise
+from cloth_predict.cases import Case, labelled_case
 from cloth_predict.config import Config
-from cloth_predict.errors import FormatError
-from cloth_predict.metrics import (
-    Details,
-    Score,
-    at_times,
-    by_speed,
-    coverage,
-    distances,
-    mean,
-    score,
-    speeds,
-)
-from cloth_predict.predictors import METHODS, Predictor
-from cloth_predict.tracker import NANOSECONDS
+from cloth_predict.judging import Judged, Progress, follow, judge
+from cloth_predict.metrics import Details, Ratio, Score, by_speed, coverage, mean, ratio, score
+from cloth_predict.predictors import Make, methods
 from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
 
-WARM_UP = 1.0
-"""Seconds at the start that are not judged."""
-BLOCK = 0.5
-"""Seconds of frames that the bootstrap keeps together: longer than errors remember, and short
-enough that a few seconds have several."""
 SEED = 0
 """Of the bootstrap; the same frames are drawn for every method."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """What a method said of a whole recording, after each frame.
-
-    position [m], shape (frames, markers, 3); sigma [m], shape (frames, markers); nis, shape
-    (frames,), per degree of freedom; NaN where unknown. seconds: what it took.
-    """
-
-    position: FloatArray
-    sigma: FloatArray
-    nis: FloatArray
-    seconds: float
-
-    def at(self, frames: BoolArray) -> Run:
-        """Return what was said after these frames."""
-        return replace(
-            self, position=self.position[frames], sigma=self.sigma[frames], nis=self.nis[frames]
-        )
+KINEMATIC = ('kf_cv', 'kf_ca')
+"""What a method has to beat: the better of these."""
+POOLED = 'all'
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The comparison at one horizon.
+    """The comparison at one horizon, by method; `bag` names the recording, or is `all` of them.
 
-    start [ns]: the first stamp of the recording; errors [m] by method, shape (frames, markers),
-    NaN where not counted; targets [ns], shape (frames,): the times predicted for;
-    actual [m] and predicted [m] by method, each (frames, markers, 3).
+    best: the kinematic filter of the smaller error, or None; noise: the spectral densities of the
+    kinematic filters, where they were searched for.
     """
 
     horizon: float
+    judged: Judged
     scores: dict[str, Score]
     details: dict[str, Details]
-    us_per_frame: dict[str, float]
-    errors: dict[str, FloatArray]
-    start: int
-    targets: IntArray
-    actual: FloatArray
-    predicted: dict[str, FloatArray]
+    ratios: dict[str, Ratio]
+    best: str | None
+    noise: dict[str, float]
+    bag: str
 
-    def summary(self) -> dict[str, object]:
+    @property
+    def us_per_frame(self) -> dict[str, float]:
+        """What a frame took [us]: the update and the prediction."""
+        given = self.judged.given
+        return {name: 1e6 * a.seconds / given for name, a in self.judged.answers.items()}
+
+    @property
+    def targets(self) -> IntArray:
+        """The times predicted for [ns], shape (frames,)."""
+        return self.judged.targets
+
+    @property
+    def errors(self) -> dict[str, FloatArray]:
+        """Errors [m], shape (frames, markers), NaN where not counted."""
+        return {name: answers.errors for name, answers in self.judged.answers.items()}
+
+    def summary(self) -> dict[str, Any]:
         """Return the numbers as `evaluate --json` prints them."""
         return {
             'horizon_s': self.horizon,
             'frames': len(self.targets),
-            'methods': {
-                name: {
-                    **_plain(asdict(found)),
-                    'us_per_frame': self.us_per_frame[name],
-                    **_plain(asdict(self.details[name])),
-                }
-                for name, found in self.scores.items()
-            },
+            'methods': {name: self._summary(name) for name in self.scores},
+            'best_kinematic': self.best,
         }
+
+    def _summary(self, name: str) -> dict[str, Any]:
+        found: dict[str, Any] = {
+            **asdict(self.scores[name]),
+            'us_per_frame': self.us_per_frame[name],
+            **asdict(self.details[name]),
+            **asdict(self.ratios[name]),
+            'predicted': self.judged.share(name),
+            'counts': dict(self.judged.answers[name].counts),
+        }
+        if name in self.noise:
+            found['noise'] = self.noise[name]
+        return {key: _plain(value) for key, value in found.items()}
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold: NaN becomes None, a tuple a list."""
+    """Return what JSON can hold: what is not finite becomes None, a tuple a list."""
     if isinstance(value, dict):
         return {key: _plain(part) for key, part in value.items()}
     if isinstance(value, tuple):
         return [_plain(part) for part in value]
-    return None if isinstance(value, float) and isnan(value) else value
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def evaluate(
     markers: MarkerSequence,
     config: Config,
     horizon: float,
-    reference: MarkerSequence | None = None,
-    methods: dict[str, Callable[[Config], Predictor]] | None = None,
-    progress: Callable[[int], None] = lambda frames: None,
+    truth: MarkerSequence | None = None,
+    makers: Mapping[str, Make] | None = None,
+    progress: Progress = lambda frames: None,
     source: str = 'the recording',
 ) -> Evaluation:
-    """Run every method over the recording and judge its predictions `horizon` [s] ahead.
-
-    The reference is what the positions are compared with: the truth where there is one, or else
-    the markers themselves. Markers must be in node order.
-    """
-    markers = in_order(markers)
-    runs = {
-        name: predict_all(make(config), markers, horizon, progress)
-        for name, make in (METHODS if methods is None else methods).items()
-    }
-    return judge(markers, config, horizon, reference, runs, source)
+    """Compare methods at one horizon [s] on markers in node order, by the truth if given."""
+    return compare(
+        labelled_case(markers, config, source, truth), config, [horizon], makers, progress=progress
+    )[0]
 
 
-def judge(
-    markers: MarkerSequence,
+def compare(
+    case: Case,
     config: Config,
-    horizon: float,
-    reference: MarkerSequence | None,
-    runs: dict[str, Run],
-    source: str = 'the recording',
-) -> Evaluation:
-    """Compare what methods said after each frame of `markers` with a reference, the truth.
+    horizons: Sequence[float],
+    makers: Mapping[str, Make] | None = None,
+    search: bool = False,
+    progress: Progress = lambda frames: None,
+) -> list[Evaluation]:
+    """Run every method over a recording and judge its predictions at each horizon [s].
 
-    None of it means the markers themselves. Only what every method predicted and the reference
-    shows is counted. Raises FormatError naming the source where that is nothing.
+    Without makers, the methods are the baselines and the tracker of the configuration. search:
+    whether the kinematic filters get the noise that serves them best.
     """
-    shown = markers if reference is None else reference
-    targets = markers.stamps + round(horizon * NANOSECONDS)
-    actual, counted = _counted(markers, shown, targets, runs)
-    judged = np.asarray(counted.any(axis=1), bool)
-    if not judged.any():
-        raise FormatError(f'{source}: {_why_nothing(markers, horizon)}')
-    targets, actual, counted = targets[judged], actual[judged], counted[judged]
-    runs = {name: run.at(judged) for name, run in runs.items()}
-    errors = {
-        name: np.where(counted, distances(run.position, actual), nan) for name, run in runs.items()
+    makers = methods([config.filter.kind]) if makers is None else makers
+    choices = best_noise(case, config, horizons) if search else {}
+    runs = {
+        name: [choice.run for choice in choices[name]]
+        if name in choices
+        else follow(make(config), case, horizons, progress)
+        for name, make in makers.items()
     }
-    interval = int(np.median(np.diff(markers.stamps)))
-    free = np.ones(len(markers.labels), bool)
-    free[list(config.anchors.nodes)] = False
-    noise = config.filter.measurement_noise if reference is None else 0.0
-    return Evaluation(
-        horizon,
-        _scores(errors, free, interval),
-        _details(runs, errors, actual, speeds(shown, targets, interval), free, noise),
-        {name: 1e6 * run.seconds / len(markers) for name, run in runs.items()},
-        errors,
-        int(markers.stamps[0]),
-        targets,
-        actual,
-        {name: run.position for name, run in runs.items()},
-    )
-
-
-def _counted(
-    markers: MarkerSequence, shown: MarkerSequence, targets: IntArray, runs: dict[str, Run]
-) -> tuple[FloatArray, BoolArray]:
-    """Actual positions [m] at the targets [ns], and which of them are shown and predicted."""
-    actual, counted = at_times(shown, targets)
-    counted &= (markers.stamps >= markers.stamps[0] + WARM_UP * NANOSECONDS)[:, None]
-    for run in runs.values():
-        counted &= np.isfinite(run.position).all(axis=-1)
-    return actual, counted
-
-
-def _why_nothing(markers: MarkerSequence, horizon: float) -> str:
-    seconds = (markers.stamps[-1] - markers.stamps[0]) / NANOSECONDS
-    return (
-        f'no frame can be judged: the recording lasts {seconds:.2f} s, of which the first '
-        f'{WARM_UP} s are the warm-up and the last {horizon} s have no later measurement'
-    )
-
-
-def _scores(errors: dict[str, FloatArray], free: BoolArray, interval: int) -> dict[str, Score]:
-    """Sum up the errors of each method; interval [ns] between frames."""
-    block = max(round(BLOCK * NANOSECONDS / interval), 1)
-    return {
-        name: score(error, np.isfinite(error), free, block, np.random.default_rng(SEED))
-        for name, error in errors.items()
-    }
-
-
-def _details(
-    runs: dict[str, Run],
-    errors: dict[str, FloatArray],
-    actual: FloatArray,
-    speed: FloatArray,
-    free: BoolArray,
-    noise: float,
-) -> dict[str, Details]:
-    """Judge what each method says of its own errors; noise [m] of a coordinate of `actual`."""
-    found = {}
-    for name, run in runs.items():
-        error = errors[name][:, free]
-        sigma = np.where(np.isfinite(error), np.hypot(run.sigma[:, free], noise), nan)
-        found[name] = Details(
-            coverage((run.position - actual)[:, free], sigma),
-            mean(run.nis),
-            by_speed(error, speed[:, free]),
-        )
+    stamps = case.markers.stamps[case.ahead]
+    found = []
+    for i, horizon in enumerate(horizons):
+        of_horizon = {name: run[i] for name, run in runs.items()}
+        judged = judge(stamps, horizon, case.reference, of_horizon, case.name)
+        noise = {name: of_name[i].noise for name, of_name in choices.items()}
+        found.append(summed(horizon, judged, config, case.name, noise))
     return found
 
 
-def in_order(markers: MarkerSequence) -> MarkerSequence:
-    """Leave out frames whose stamp does not lie after all stamps before it."""
-    latest = np.maximum.accumulate(markers.stamps)
-    keep = np.append(True, markers.stamps[1:] > latest[:-1])
-    if keep.all():
-        return markers
-    return MarkerSequence(
-        markers.stamps[keep],
-        markers.labels,
-        markers.positions[keep],
-        markers.visible[keep],
-        markers.frame_id,
-    )
+def pooled(evaluations: Sequence[Evaluation], config: Config) -> Evaluation:
+    """Return the comparison over several recordings at the same horizon."""
+    judged = Judged.joined([one.judged for one in evaluations])
+    return summed(evaluations[0].horizon, judged, config, POOLED)
 
 
-def predict_all(
-    predictor: Predictor,
-    markers: MarkerSequence,
+def summed(
     horizon: float,
-    progress: Callable[[int], None] = lambda frames: None,
-) -> Run:
-    """Let a method follow the markers and predict after each frame."""
-    frames, nodes = markers.visible.shape
-    run = Run(np.empty((frames, nodes, 3)), np.empty((frames, nodes)), np.empty(frames), 0.0)
-    begin = time.perf_counter()
-    for k, stamp in enumerate(markers.stamps.tolist()):
-        run.nis[k] = predictor.step(stamp, markers.positions[k], markers.visible[k])
-        run.position[k], run.sigma[k] = predictor.predict(horizon)
-        progress(1)
-    return replace(run, seconds=time.perf_counter() - begin)
+    judged: Judged,
+    config: Config,
+    bag: str = '',
+    noise: Mapping[str, float] | None = None,
+) -> Evaluation:
+    """Sum up what was counted."""
+    free = np.ones(judged.actual.shape[1], bool)
+    free[list(config.anchors.nodes)] = False
+    parts = {name: judged.parts(name) for name in judged.answers}
+    scores = {name: score(part, free, np.random.default_rng(SEED)) for name, part in parts.items()}
+    of_free = {name: [(e[:, free], block) for e, block in part] for name, part in parts.items()}
+    kinematic = [name for name in KINEMATIC if name in scores]
+    best = min(kinematic, key=lambda name: scores[name].rmse_free_mm, default=None)
+    ratios = {
+        name: ratio(part, of_free[best], np.random.default_rng(SEED))
+        if best
+        else Ratio(nan, (nan, nan))
+        for name, part in of_free.items()
+    }
+    details = {name: _details(judged, name, free) for name in scores}
+    return Evaluation(horizon, judged, scores, details, ratios, best, dict(noise or {}), bag)
+
+
+def _details(judged: Judged, name: str, free: BoolArray) -> Details:
+    """Judge what a method says of its own errors."""
+    said = judged.answers[name]
+    error = said.errors[:, free]
+    sigma = np.hypot(said.sigma[:, free], judged.noise[:, None])
+    sigma = np.where(np.isfinite(error), sigma, nan)
+    return Details(
+        coverage((said.predicted - judged.actual)[:, free], sigma),
+        mean(said.nis),
+        mean(said.nees[:, free]),
+        by_speed(error, judged.speed[:, free]),
+    )

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, nan
+from math import nan
 
 import numpy as np
 
+from cloth_predict.bootstrap import Interval, Part, paired, ratio_interval, rms_interval
 from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
 
-RESAMPLES = 1000
-FEWEST_BLOCKS = 5
-"""Blocks without which there is no interval: too few to tell chance from motion."""
 BINS = 3
 
 
@@ -24,8 +23,17 @@ class Score:
     """Without the driven nodes, whose future is not the model's to know."""
     p95_mm: float
     max_mm: float
-    rmse_95_mm: tuple[float, float]
-    """95 % interval of `rmse_mm`, or NaN where the recording is too short for one."""
+    rmse_95_mm: Interval
+    """95 % interval of `rmse_mm`, or NaN where a recording is too short for one."""
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """RMS error of the free nodes by that of the best kinematic filter; less is better."""
+
+    ratio: float
+    ratio_95: Interval
+    """95 % interval, of the same frames for both; NaN where a recording is too short for one."""
 
 
 @dataclass(frozen=True)
@@ -46,60 +54,40 @@ class Details:
     nis: float
     """Mean normalised innovation squared per degree of freedom: 1 of a filter whose noise is that
     of its model; NaN of a method that tells none."""
+    nees: float
+    """Mean normalised error squared of the estimate by the truth, e' P^-1 e / 3 of a node: 1 of a
+    filter that knows how wrong it is; NaN where either is not known."""
     by_speed: tuple[SpeedBin, ...]
 
 
-def score(
-    errors: FloatArray,
-    counted: BoolArray,
-    free: BoolArray,
-    block: int,
-    rng: np.random.Generator,
-) -> Score:
-    """Sum up errors [m], shape (frames, markers), where `counted`; free, shape (markers,).
-
-    The interval is that of `rms_interval` with `block` and `rng`.
-    """
-    every = 1e3 * errors[counted]
-    of_free = 1e3 * errors[:, free][counted[:, free]]
+def score(parts: Sequence[Part], free: BoolArray, rng: np.random.Generator) -> Score:
+    """Sum up errors [m] of all recordings; free, shape (markers,); rng: for `rms_interval`."""
+    parts = [(1e3 * errors, block) for errors, block in parts]
+    every = np.concatenate([errors[np.isfinite(errors)] for errors, _ in parts])
     if not every.size:
         return Score(nan, nan, nan, nan, (nan, nan))
-    p95, highest = float(np.percentile(every, 95)), float(every.max())
-    interval = rms_interval(1e3 * np.where(counted, errors, nan), block, rng)
-    return Score(rms(every), rms(of_free), p95, highest, interval)
+    return Score(
+        rms(every),
+        rms(np.concatenate([errors[:, free].ravel() for errors, _ in parts])),
+        float(np.percentile(every, 95)),
+        float(every.max()),
+        rms_interval(parts, rng),
+    )
+
+
+def ratio(parts: Sequence[Part], others: Sequence[Part], rng: np.random.Generator) -> Ratio:
+    """Compare errors with those of another method, where both are counted."""
+    pairs = paired(parts, others)
+    mine = rms(np.concatenate([mine.ravel() for mine, _, _ in pairs]))
+    its = rms(np.concatenate([its.ravel() for _, its, _ in pairs]))
+    if not its > 0:
+        return Ratio(nan, (nan, nan))
+    return Ratio(mine / its, ratio_interval(parts, others, rng))
 
 
 def rms(values: FloatArray) -> float:
-    """Root of the mean square; NaN of nothing."""
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else nan
-
-
-def rms_interval(errors: FloatArray, block: int, rng: np.random.Generator) -> tuple[float, float]:
-    """95 % interval of the RMS of errors, shape (frames, markers), NaN where not counted.
-
-    Circular block bootstrap (Politis and Romano 1992): errors of one frame and of frames close to
-    each other belong together, so what is drawn, 1000 times, are runs of `block` frames, as many
-    frames in all as there are. NaN where there are fewer than five blocks.
-    """
-    judged = errors[np.isfinite(errors).any(axis=1)]
-    per_frame = np.stack([np.nansum(judged**2, axis=1), np.isfinite(judged).sum(axis=1)])
-    frames = per_frame.shape[1]
-    if frames < FEWEST_BLOCKS * block:
-        return nan, nan
-    blocks = ceil(frames / block)
-    starts = rng.integers(frames, size=(RESAMPLES, blocks))
-    whole, last = (_runs(per_frame, n) for n in (block, frames - (blocks - 1) * block))
-    squared, count = whole[:, starts[:, :-1]].sum(axis=2) + last[:, starts[:, -1]]
-    low, high = np.percentile(np.sqrt(squared / count), [2.5, 97.5])
-    return float(low), float(high)
-
-
-def _runs(values: FloatArray, length: int) -> FloatArray:
-    """Sums of `length` values in a circle from each place on, shape (..., places)."""
-    around = np.concatenate([values, values[..., :length]], axis=-1)
-    total = np.concatenate([np.zeros_like(values[..., :1]), np.cumsum(around, axis=-1)], axis=-1)
-    places = values.shape[-1]
-    return np.asarray(total[..., length : length + places] - total[..., :places])
+    """Root of the mean square of the values that are not NaN; NaN of none."""
+    return float(np.sqrt(mean(np.square(values))))
 
 
 def coverage(offsets: FloatArray, sigma: FloatArray) -> tuple[float, ...] | None:
@@ -119,6 +107,21 @@ def mean(values: FloatArray) -> float:
     """Mean of the values that are not NaN; NaN of none."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else nan
+
+
+def normalised(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Mean of the squares of normalised errors, e' P^-1 e / 3, shape (markers,).
+
+    errors [m], shape (markers, 3); covariances [m^2], shape (markers, 3, 3). NaN where one is NaN
+    or the covariance is singular.
+    """
+    found = np.full(len(errors), nan)
+    finite = np.isfinite(errors).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
+    known = np.flatnonzero(finite)
+    known = known[np.linalg.det(covariances[known]) > 0]
+    e = errors[known]
+    found[known] = np.sum(e * np.linalg.solve(covariances[known], e[..., None])[..., 0], 1) / 3
+    return found
 
 
 def speeds(sequence: MarkerSequence, times: IntArray, interval: int) -> FloatArray:

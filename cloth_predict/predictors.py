@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from math import nan
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.filters.kinematic import KinematicTrack
-from cloth_predict.tracker import NANOSECONDS, Tracker
+from cloth_predict.errors import FrameError
+from cloth_predict.filters.kinematic_bank import KinematicBank
+from cloth_predict.tracker import NANOSECONDS, NO_POINTS, Tracker
 from cloth_predict.types import BoolArray, FloatArray
 
 
@@ -26,31 +29,76 @@ class Predicted(NamedTuple):
     @classmethod
     def unknown(cls, markers: int) -> Predicted:
         """Nothing is known of any marker."""
-        return cls(np.full((markers, 3), np.nan), np.full(markers, np.nan))
+        return cls(np.full((markers, 3), nan), np.full(markers, nan))
+
+
+class Estimated(NamedTuple):
+    """Where markers are: position [m], shape (markers, 3), covariance [m^2], (markers, 3, 3).
+
+    NaN where unknown.
+    """
+
+    position: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def unknown(cls, markers: int) -> Estimated:
+        """Nothing is known of any marker."""
+        return cls(np.full((markers, 3), nan), np.full((markers, 3, 3), nan))
 
 
 class Predictor(Protocol):
     """Something that follows markers and says where they will be."""
 
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> float:
+    @property
+    def associates(self) -> bool:
+        """Whether it finds out by itself which marker is which node; others need labels."""
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What became of the frames, where it tells."""
+
+    def step(
+        self,
+        stamp: int,
+        positions: FloatArray,
+        visible: BoolArray,
+        points: FloatArray = NO_POINTS,
+    ) -> float:
         """Take a frame: stamp [ns], positions [m], shape (markers, 3), visible, (markers,).
 
+        points [m], shape (m, 3): markers without a label. Frames may come out of order.
         Returns the normalised innovation squared per degree of freedom, or NaN.
         """
 
     def predict(self, horizon: float) -> Predicted:
-        """Return the markers `horizon` [s] after the last frame."""
+        """Return the markers `horizon` [s] after the latest frame."""
+
+    def estimate(self) -> Estimated:
+        """Return the markers at the latest frame."""
 
 
 class Hold:
     """The last position seen of each marker."""
 
-    def __init__(self, config: Config) -> None:
-        self._last = Predicted.unknown(config.model.count)
+    associates = False
+    counts: Mapping[str, int] = {}
 
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> float:
-        """Take a frame."""
-        latest = np.where(visible[:, None], positions, self._last.position)
+    def __init__(self, config: Config) -> None:
+        nodes = config.model.count
+        self._last, self._stamps = Predicted.unknown(nodes), np.full(nodes, np.iinfo(np.int64).min)
+
+    def step(
+        self,
+        stamp: int,
+        positions: FloatArray,
+        visible: BoolArray,
+        points: FloatArray = NO_POINTS,
+    ) -> float:
+        """Take a frame; a late one tells of the markers that no later one has shown."""
+        newer = visible & (stamp > self._stamps)
+        self._stamps = np.where(newer, stamp, self._stamps)
+        latest = np.where(newer[:, None], positions, self._last.position)
         self._last = self._last._replace(position=latest)
         return nan
 
@@ -58,68 +106,137 @@ class Hold:
         """Return the positions last seen."""
         return self._last
 
+    def estimate(self) -> Estimated:
+        """Return the positions last seen."""
+        return Estimated.unknown(len(self._stamps))._replace(position=self._last.position)
+
+
+class _Frame(NamedTuple):
+    stamp: int
+    positions: FloatArray
+    visible: BoolArray
+    after: KinematicBank
+
 
 class Kinematic:
-    """One kinematic Kalman filter per marker."""
+    """One kinematic Kalman filter per marker; a late frame is put where it belongs."""
+
+    associates = False
+    counts: Mapping[str, int] = {}
 
     def __init__(self, config: Config, motion: str, density: float) -> None:
-        self._config, self._motion, self._density = config, motion, density
-        self._tracks: dict[int, KinematicTrack] = {}
-        self._stamp: int | None = None
-        self._nodes = config.model.count
+        nodes, sigma = config.model.count, config.filter.measurement_noise
+        self._unseen = KinematicBank.unseen(motion, density, sigma, nodes)
+        self._memory = config.filter.max_backstep * NANOSECONDS
+        self._frames: deque[_Frame] = deque()
 
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> float:
-        """Take a frame."""
-        dt = 0.0 if self._stamp is None else (stamp - self._stamp) / NANOSECONDS
-        self._stamp = stamp
-        for track in self._tracks.values():
-            track.predict(dt)
-        for marker in np.flatnonzero(visible).tolist():
-            if marker in self._tracks:
-                self._tracks[marker].update(positions[marker])
-            else:
-                self._tracks[marker] = KinematicTrack(
-                    self._motion,
-                    self._density,
-                    self._config.filter.measurement_noise,
-                    positions[marker],
-                )
-        return nan
+    def step(
+        self,
+        stamp: int,
+        positions: FloatArray,
+        visible: BoolArray,
+        points: FloatArray = NO_POINTS,
+    ) -> float:
+        """Take a frame; nothing is learnt of one whose stamp was there before."""
+        later: list[_Frame] = []
+        while self._frames and self._frames[-1].stamp > stamp:
+            later.append(self._frames.pop())
+        nis = nan
+        if not self._frames or self._frames[-1].stamp < stamp:
+            nis = self._take(stamp, positions, visible)
+        for frame in reversed(later):
+            self._take(frame.stamp, frame.positions, frame.visible)
+        return nan if later else nis
+
+    def _take(self, stamp: int, positions: FloatArray, visible: BoolArray) -> float:
+        bank = self._unseen
+        if self._frames:
+            bank = self._bank.moved((stamp - self._frames[-1].stamp) / NANOSECONDS)
+        bank, nis = bank.updated(positions, visible)
+        self._frames.append(_Frame(stamp, positions, visible, bank))
+        # one frame older than the memory stays: a late frame needs what was believed before it
+        while len(self._frames) > 2 and self._frames[1].stamp < stamp - self._memory:
+            self._frames.popleft()
+        return nis
+
+    @property
+    def _bank(self) -> KinematicBank:
+        return self._frames[-1].after if self._frames else self._unseen
 
     def predict(self, horizon: float) -> Predicted:
         """Extrapolate each marker that was ever seen."""
-        predicted = Predicted.unknown(self._nodes)
-        for marker, track in self._tracks.items():
-            predicted.position[marker] = track.extrapolate(horizon)[0]
-            predicted.sigma[marker] = track.variance(horizon) ** 0.5
-        return predicted
+        position, variance = self._bank.ahead(horizon)
+        return Predicted(position, np.sqrt(variance))
+
+    def estimate(self) -> Estimated:
+        """Return each marker that was ever seen."""
+        position, variance = self._bank.ahead(0.0)
+        return Estimated(position, variance[:, None, None] * np.eye(3))
 
 
 class Tracked:
-    """The tracker of the configuration."""
+    """The tracker, with the filter of the configuration or one of another kind."""
 
-    def __init__(self, config: Config) -> None:
+    associates = True
+
+    def __init__(self, config: Config, kind: str | None = None) -> None:
+        if kind is not None:
+            config = replace(config, filter=replace(config.filter, kind=kind))
         self._tracker = Tracker(config)
 
-    def step(self, stamp: int, positions: FloatArray, visible: BoolArray) -> float:
+    @property
+    def counts(self) -> Counter[str]:
+        """What became of the frames."""
+        return self._tracker.counts
+
+    def step(
+        self,
+        stamp: int,
+        positions: FloatArray,
+        visible: BoolArray,
+        points: FloatArray = NO_POINTS,
+    ) -> float:
         """Take a frame."""
-        learnt = self._tracker.step(stamp, positions, visible).innovation
+        learnt = self._tracker.step(stamp, positions, visible, points).innovation
         if learnt is None or not learnt.residual.size:
             return nan
         return learnt.nis / len(learnt.residual)
 
     def predict(self, horizon: float) -> Predicted:
-        """Return what the tracker predicts."""
-        if not self._tracker.started:
+        """Return what the tracker predicts; unknown where it does not."""
+        try:
+            surface = self._tracker.predict(horizon)
+        except FrameError:
             return Predicted.unknown(self._tracker.nodes)
-        surface = self._tracker.predict(horizon)
         return Predicted(surface.position, surface.sigma)
 
+    def estimate(self) -> Estimated:
+        """Return what the tracker estimates; unknown where it does not."""
+        try:
+            surface = self._tracker.estimate()
+        except FrameError:
+            return Estimated.unknown(self._tracker.nodes)
+        return Estimated(surface.position, surface.covariance)
 
-METHODS: dict[str, Callable[[Config], Predictor]] = {
+
+Make = Callable[[Config], Predictor]
+
+BASELINES: dict[str, Make] = {
     'hold': Hold,
     'kf_cv': lambda c: Kinematic(c, 'constant_velocity', c.baseline.cv_noise),
     'kf_ca': lambda c: Kinematic(c, 'constant_acceleration', c.baseline.ca_noise),
-    'ekf': Tracked,
 }
-"""What `evaluate` compares; a new method is one entry."""
+"""What every filter is compared with; a new method is one entry."""
+
+
+def methods(kinds: Iterable[str]) -> dict[str, Make]:
+    """Return the baselines, and the tracker with each of these kinds of filter by its name."""
+
+    def tracked(kind: str) -> Make:
+        return lambda config: Tracked(config, kind)
+
+    return {**BASELINES, **{kind: tracked(kind) for kind in kinds}}
+
+
+METHODS = methods(['ekf'])
+"""The usual comparison."""

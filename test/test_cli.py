@@ -33,7 +33,7 @@ FRAMES = 66  # 1.3 s at 50 Hz
 STAMPS = np.arange(FRAMES) * 20_000_000
 NUMBERS = [
     'rmse_mm', 'rmse_free_mm', 'p95_mm', 'max_mm', 'rmse_95_mm', 'us_per_frame', 'coverage', 'nis',
-    'by_speed',
+    'nees', 'by_speed', 'ratio', 'ratio_95', 'predicted', 'counts',
 ]  # fmt: skip
 MODEL = {'rows': 2, 'cols': 3, 'width': 0.2, 'height': 0.1}
 ANCHORS = {'nodes': [0, 1, 2]}
@@ -242,7 +242,7 @@ def test_predict_tells_what_became_of_the_frames(
 ) -> None:
     positions = swaying(12)
     stamps = STAMPS[:12].copy()
-    stamps[5] = stamps[4]  # late
+    stamps[5] = stamps[4]  # a duplicate
     stamps[8:] += 2_000_000_000  # restarted
     positions[0, 2:] = np.nan  # waiting: a driven node is hidden
     visible = np.isfinite(positions).all(axis=2)
@@ -254,7 +254,7 @@ def test_predict_tells_what_became_of_the_frames(
     counts = {
         word: int(n) for n, _, word in (part.split() for part in out.split(': ')[1].split(', '))
     }
-    assert counts == {'waiting': 1, 'started': 1, 'late': 1, 'restarted': 1, 'updated': 8}
+    assert counts == {'waiting': 1, 'started': 1, 'duplicate': 1, 'restarted': 1, 'updated': 8}
     assert len(read_recording(tmp_path / 'x').markers) == 12
     assert len(read_clouds(tmp_path / 'x', 'cloth/prediction')) == 10
 
@@ -264,15 +264,18 @@ def test_predict_tells_what_became_of_the_frames(
 
 def test_evaluate_prints_a_table(run: Run, bag: Path, parameters: Parameters) -> None:
     lines = run.well('evaluate', bag, '-c', small(parameters)).splitlines()
-    assert lines[0] == (
-        'predicted 100 ms ahead, 11 frames, errors in mm, 95 % interval of the RMS'
-    )
-    assert lines[1].split() == ['method', 'RMS', 'free', 'p95', 'max', 'interval', 'us/frame']
+    assert lines[0] == ('predicted 100 ms ahead, 11 frames, errors in mm, 95 % intervals')
+    assert lines[1].split() == [
+        'method', 'RMS', 'free', 'p95', 'max', 'interval', 'ratio', 'interval', 'us/frame',
+    ]  # fmt: skip
     assert [line.split()[0] for line in lines[2:6]] == ['hold', 'kf_cv', 'kf_ca', 'ekf']
     assert lines[2].split()[5] == '-'  # 11 frames of 20 ms are less than a block of 0.5 s
-    assert lines[6].startswith('free nodes: share of errors within 1, 2, 3 sigma; NIS')
-    assert [line.split()[0] for line in lines[7:]] == ['method', 'hold', 'kf_cv', 'kf_ca', 'ekf']
-    assert len({len(line) for line in (*lines[1:6], *lines[7:])}) == 2  # aligned
+    assert lines[6].startswith('free nodes: errors within 1, 2, 3 sigma; NIS')
+    assert [line.split()[0] for line in lines[7:12]] == ['method', 'hold', 'kf_cv', 'kf_ca', 'ekf']
+    assert len({len(line) for line in (*lines[1:6], *lines[7:12])}) == 2  # aligned
+    assert max(map(len, lines)) < 100
+    assert lines[12].startswith('ratio: RMS of the free nodes by that of kf_c')
+    assert lines[13] == 'ekf: 1 started, 65 updated'
     angles = 0.3 * np.sin(2 * np.pi * STAMPS / 1e9)
     moved = 200 * np.abs(np.sin((angles[55:] - angles[50:61]) / 2))  # mm, a chord of 0.1 m
     hold = [float(word) for word in lines[2].split()[1:5]]
@@ -285,7 +288,7 @@ def test_evaluate_json(run: Run, bag: Path, parameters: Parameters) -> None:
     out = run.well('evaluate', bag, '-c', small(parameters), '--json')
     found = json.loads(out)
     assert out.count('\n') == 1
-    assert list(found) == ['horizon_s', 'frames', 'methods']
+    assert list(found) == ['horizon_s', 'frames', 'methods', 'best_kinematic']
     assert (found['horizon_s'], found['frames']) == (0.1, 11)
     assert list(found['methods']) == ['hold', 'kf_cv', 'kf_ca', 'ekf']
     for numbers in found['methods'].values():
@@ -300,7 +303,10 @@ def test_evaluate_json(run: Run, bag: Path, parameters: Parameters) -> None:
     for shares in coverage.values():
         assert 0 <= shares[0] <= shares[1] <= shares[2] <= 1
     told = [name for name, numbers in found['methods'].items() if numbers['nis'] is not None]
-    assert told == ['ekf']
+    assert told == ['kf_cv', 'kf_ca', 'ekf']
+    assert found['methods'][found['best_kinematic']]['ratio'] == 1.0
+    assert found['methods']['ekf']['counts'] == {'started': 1, 'updated': 65}
+    assert [numbers['predicted'] for numbers in found['methods'].values()] == [1.0] * 4
 
 
 def test_evaluate_tells_an_interval_and_a_coverage(
@@ -316,11 +322,14 @@ def test_evaluate_tells_an_interval_and_a_coverage(
     found = json.loads(run.well(*arguments, '--json'))
     lines = run.well(*arguments).splitlines()
     for (name, numbers), line, more in zip(
-        found['methods'].items(), lines[2:6], lines[8:], strict=True
+        found['methods'].items(), lines[2:6], lines[8:12], strict=True
     ):
         low, high = numbers['rmse_95_mm']
         assert low <= numbers['rmse_mm'] <= high
         assert line.split()[5] == f'{low:.2f}-{high:.2f}', name
+        low, high = numbers['ratio_95']
+        assert low <= numbers['ratio'] <= high
+        assert line.split()[6:8] == [f'{numbers["ratio"]:.2f}', f'{low:.2f}-{high:.2f}'], name
         told = [f'{100 * share:.1f} %' for share in numbers['coverage'] or []]
         assert re.findall(r'[\d.]+ %', more) == told
         assert more.split()[-3:] == [f'{part["rmse_mm"]:.2f}' for part in numbers['by_speed']]
@@ -355,8 +364,8 @@ def test_evaluate_writes_a_folder(
     config, folder = small(parameters, horizon=0.08), tmp_path / 'new' / 'report'
     out = run.well('evaluate', bag, '-c', config, '-o', folder)
     assert sorted(path.name for path in folder.iterdir()) == [
-        'config.yaml', 'details_80ms.txt', 'error_80ms.png', 'snapshots_80ms.png',
-        'table_80ms.txt',
+        'config.yaml', 'coverage_80ms.png', 'details_80ms.txt', 'error_80ms.png',
+        'evaluation.json', 'ladder.png', 'snapshots_80ms.png', 'speed_80ms.png', 'table_80ms.txt',
     ]  # fmt: skip
     table, details = (folder / f'{name}_80ms.txt' for name in ('table', 'details'))
     assert table.read_text() + details.read_text() == out
@@ -399,7 +408,9 @@ def test_labels_choose_and_reorder(
     found = json.loads(run.well('evaluate', tmp_path / 'mixed', '-c', config, '--json'))
     assert without_times(found) == without_times(plain)
     run.well('predict', tmp_path / 'mixed', '-c', config, '-o', tmp_path / 'x')
-    assert read_recording(tmp_path / 'x').markers.labels == LABELS
+    markers = read_recording(tmp_path / 'x').markers
+    assert markers.labels == (*LABELS, 'Unlabeled 3')  # which the tracker was given as points
+    np.testing.assert_array_equal(markers.positions[:, 6], np.float32(noise[:, 1]))
 
 
 def test_the_file_in_a_bag_is_a_recording_too(run: Run, bag: Path, parameters: Parameters) -> None:

@@ -18,17 +18,18 @@ import numpy as np
 import rclpy
 from rclpy.context import Context
 
-from cloth_predict import commands, config
-from cloth_predict.association import markers_of_nodes
+from cloth_predict import commands, config, report
+from cloth_predict.cases import case_of
 from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictError
-from cloth_predict.evaluation import Evaluation, Run, in_order, judge, predict_all
+from cloth_predict.evaluation import Evaluation, summed
 from cloth_predict.formats.bag import create_bag, read_clouds
 from cloth_predict.formats.pointcloud import decode, xyz
 from cloth_predict.formats.recording import read
+from cloth_predict.judging import Run, follow, judge
 from cloth_predict.nodes._ros import spin
 from cloth_predict.nodes.recorder import Recorder
-from cloth_predict.predictors import METHODS, Predicted
+from cloth_predict.predictors import Predicted, methods
 from cloth_predict.types import FloatArray, IntArray
 
 DISCOVERY = 20.0
@@ -63,7 +64,7 @@ class Demo:
         lost = counts['frames_published'] - counts['frames_predicted']
         return '\n'.join(
             [
-                commands.table(self.evaluation),
+                report.table(self.evaluation),
                 f'latency from markers to prediction: p50 {p50:.1f} ms, p99 {p99:.1f} ms',
                 f'{counts["frames_published"]} frames published, {counts["frames_predicted"]} '
                 f'predicted, {lost} lost; {counts["scanline_messages"]} scanline messages',
@@ -80,8 +81,8 @@ def demo(bag: Path, config_path: Path, output: Path, progress: Callable[[int, in
     commands.keep_source(bag, output)
     settings = config.load(config_path)
     source = read(bag)
-    markers = in_order(markers_of_nodes(source.markers, settings, str(bag)))
-    with _signals(), _domain(), create_bag(output, markers.labels) as writer:
+    case = case_of(source, settings, str(bag))
+    with _signals(), _domain(), create_bag(output, case.markers.labels) as writer:
         context = Context()
         rclpy.init(context=context)
         recorder = Recorder(writer, context=context)
@@ -90,22 +91,21 @@ def demo(bag: Path, config_path: Path, output: Path, progress: Callable[[int, in
         finally:
             recorder.destroy_node()
             context.try_shutdown()
-    runs = {
-        name: predict_all(make(settings), markers, settings.horizon)
-        for name, make in METHODS.items()
-    }
+    kind, ahead = settings.filter.kind, [settings.horizon]
+    runs = {name: follow(make(settings), case, ahead)[0] for name, make in methods([kind]).items()}
     arrivals = recorder.arrivals
     latency = _latencies(arrivals['markers'], arrivals['cloth/prediction'], settings.horizon)
-    seconds = float(np.mean(latency)) * len(markers) / 1e3
-    runs['ekf_live'] = _live_run(output, markers.stamps, settings, seconds)
-    reference = commands.reference_of(source, markers)
-    evaluation = judge(markers, settings, settings.horizon, reference, runs, str(bag))
+    stamps = case.markers.stamps[case.ahead]
+    seconds = float(np.mean(latency)) * len(stamps) / 1e3
+    runs[f'{kind}_live'] = _live_run(output, stamps, settings, seconds)
+    judged = judge(stamps, settings.horizon, case.reference, runs, str(bag))
+    evaluation = summed(settings.horizon, judged, settings)
     counts = {
         'frames_published': len(source.markers),
         'frames_predicted': len(arrivals['cloth/prediction']),
         'scanline_messages': len(arrivals['projector/scanlines']),
     }
-    commands.report(evaluation, settings, output)
+    report.report_one(evaluation, settings, output)
     return Demo(evaluation, latency, counts, output)
 
 
@@ -119,7 +119,10 @@ def _run_graph(
     """Start the nodes, wait until they see each other, replay, and stop them."""
     with ExitStack() as stack:
         nodes = [
-            stack.enter_context(_Process(name, config_path, 'use_sim_time:=true'))
+            # the comparison is at one horizon
+            stack.enter_context(
+                _Process(name, config_path, 'use_sim_time:=true', 'horizon_mode:=fixed')
+            )
             for name in ('ekf_node', 'projector_node')
         ]
 
@@ -246,7 +249,8 @@ def _live_run(output: Path, stamps: IntArray, settings: Config, seconds: float) 
     ahead = round(settings.horizon * 1e9)
     found = [published.get(stamp + ahead, unknown) for stamp in stamps.tolist()]
     positions, sigmas = (np.array(values) for values in zip(*found, strict=True))
-    return Run(positions, sigmas, np.full(len(stamps), np.nan), seconds)
+    unknown_nis, unknown_nees = np.full(len(stamps), np.nan), np.full(sigmas.shape, np.nan)
+    return Run(positions, sigmas, unknown_nis, unknown_nees, seconds)
 
 
 def _latencies(

@@ -1,0 +1,68 @@
+"""Kinematic filters of many markers at once; each is the filter of a `KinematicTrack`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import nan
+
+import numpy as np
+
+from cloth_predict.filters.kinematic import ORDERS, transition, white_noise
+from cloth_predict.types import BoolArray, FloatArray
+
+SPREAD = 1.0
+"""Standard deviation of the unknown derivatives when a marker is first seen, in SI units."""
+
+
+@dataclass(frozen=True)
+class KinematicBank:
+    """What is believed of each marker; never changed once made.
+
+    mean, shape (markers, order, 3): position [m] and its derivatives; cov, shape
+    (markers, order, order), of each coordinate; both NaN of a marker that was never seen.
+    density: spectral density of the driving noise; variance [m^2] of a measured coordinate.
+    """
+
+    mean: FloatArray
+    cov: FloatArray
+    density: float
+    variance: float
+
+    @classmethod
+    def unseen(cls, motion: str, density: float, sigma: float, markers: int) -> KinematicBank:
+        """Nothing is known yet; sigma [m] of a measured coordinate."""
+        order = ORDERS[motion]
+        mean, cov = np.full((markers, order, 3), nan), np.full((markers, order, order), nan)
+        return cls(mean, cov, density, sigma**2)
+
+    def moved(self, dt: float) -> KinematicBank:
+        """Return the belief dt [s] later."""
+        order = self.mean.shape[1]
+        step, noise = transition(order, dt), white_noise(order, self.density, dt)
+        return replace(self, mean=step @ self.mean, cov=step @ self.cov @ step.T + noise)
+
+    def updated(self, positions: FloatArray, visible: BoolArray) -> tuple[KinematicBank, float]:
+        """Take measured positions [m], shape (markers, 3), of the visible ones, (markers,).
+
+        Returns the belief, and the normalised innovation squared per degree of freedom, NaN where
+        none was seen before.
+        """
+        seen = np.isfinite(self.cov[:, 0, 0])
+        known, new = np.flatnonzero(visible & seen), np.flatnonzero(visible & ~seen)
+        mean, cov, order = self.mean.copy(), self.cov.copy(), self.mean.shape[1]
+        residual, before = positions[known] - mean[known, 0], cov[known]
+        total = before[:, 0, 0] + self.variance
+        gain = before[:, :, 0] / total[:, None]
+        mean[known] += gain[:, :, None] * residual[:, None]
+        keep = np.eye(order) - gain[:, :, None] * np.eye(1, order)
+        noise = self.variance * gain[:, :, None] * gain[:, None]
+        cov[known] = keep @ before @ keep.transpose(0, 2, 1) + noise  # Joseph's form
+        mean[new], mean[new, 0] = 0.0, positions[new]
+        cov[new] = np.diag([self.variance] + [SPREAD**2] * (order - 1))
+        nis = float(np.mean(residual**2 / total[:, None])) if len(known) else nan
+        return replace(self, mean=mean, cov=cov), nis
+
+    def ahead(self, horizon: float) -> tuple[FloatArray, FloatArray]:
+        """Positions [m], shape (markers, 3), `horizon` [s] ahead; variances [m^2], (markers,)."""
+        later = self.moved(horizon)
+        return later.mean[:, 0], later.cov[:, 0, 0]
