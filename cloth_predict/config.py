@@ -189,13 +189,13 @@ class FilterConfig:
         high=1,
     )
     window: float = param(
-        0.15,
+        0.1,
         'least_squares: time over which the state is fitted to all measurements',
         's',
         above=0,
     )
     forgetting: float = param(
-        0.1,
+        0.03,
         'recursive_least_squares: time constant of the weight of past measurements',
         's',
         above=0,
@@ -243,11 +243,14 @@ class AssociationConfig:
         low=0,
     )
     drift: float = param(
-        0.02, 'how fast this grows while no marker of the node is taken', 'm/s', low=0
+        0.02,
+        'how fast this grows while the node is not seen, until the gate reaches its neighbours',
+        'm/s',
+        low=0,
     )
     patience: float = param(
         0.5,
-        'a labelled marker is believed, wherever it is, when its node has had none for this long',
+        'time after which the surface starts anew where most of its markers are at no node',
         's',
         above=0,
     )
@@ -261,7 +264,7 @@ class LimitsConfig:
         3, 'warn of fewer markers than this: three fix a rigid motion', low=0
     )
     sigma_warn: float = param(
-        0.02,
+        0.025,
         'warn of a larger sigma of a prediction (root mean square over the free nodes)',
         'm',
         above=0,

@@ -22,15 +22,13 @@ class Expected:
 
     position [m], shape (nodes, 3); covariance S [m^2], shape (nodes, 3, 3), of position and
     measurement together; each of the others has shape (nodes,). sure: its label is not doubted;
-    doubtful: it was not seen for a while, so that only what was there before can be its marker;
-    overdue: it was not seen for so long that its label is believed wherever the marker is.
+    doubtful: it was not seen for a while, so that only what was there before can be its marker.
     """
 
     position: FloatArray
     covariance: FloatArray
     sure: BoolArray
     doubtful: BoolArray
-    overdue: BoolArray
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,7 @@ def identify(
     points [m], shape (m, 3); earlier [m], shape (k, 3): what was left of the frame before, from
     which a marker moves by `reach` [m] at most; gate: probability, as in `match`. A labelled
     marker outside the gate of its node counts as one without a label. Those, and the points, are
-    matched to the nodes that have no marker yet. What then is left of an overdue node is believed
-    after all. Raises FrameError for a marker that is not finite.
+    matched to the nodes that have no marker yet. Raises FrameError for one that is not finite.
     """
     positions, visible = labelled.positions.copy(), labelled.visible & expected.sure
     doubted = np.flatnonzero(labelled.visible & ~expected.sure)
@@ -85,10 +82,7 @@ def identify(
     positions[unseen], visible[unseen] = in_node_order(node, pool, len(unseen))
     taken = node >= 0
     moved, matched = int(taken[: len(far)].sum()), int(taken[len(far) :].sum())
-    believed = np.flatnonzero(~taken[: len(far)] & expected.overdue[far] & ~visible[far])
-    positions[far[believed]], visible[far[believed]], taken[believed] = pool[believed], True, True
-    rejected = len(far) - moved - len(believed)
-    ghosts = len(points) - matched
+    rejected, ghosts = len(far) - moved, len(points) - matched
     return Identified(positions, visible, moved, rejected, matched, ghosts, pool[~taken])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from cloth_predict.config import LimitsConfig
 from cloth_predict.errors import UncertainError
+from cloth_predict.track import Step
 from cloth_predict.types import IntArray, Surface
 
 
@@ -33,13 +34,16 @@ def require_certain(sigma: float, limits: LimitsConfig) -> None:
         )
 
 
-def judge(sigma: float, visible: int, nodes: int, limits: LimitsConfig) -> Health:
-    """Health of a surface whose prediction has this sigma [m], with so many markers in view."""
-    seen = f'{visible} of {nodes} markers'
+def judge(sigma: float, step: Step, limits: LimitsConfig) -> Health:
+    """Health of a surface whose prediction has this sigma [m], after this last step."""
+    visible, nodes, rejected = int(step.visible.sum()), len(step.visible), step.markers['rejected']
+    state = f'{visible} of {nodes} markers, sigma {1e3 * sigma:.3g} mm'
     if not sigma <= limits.sigma_error:
-        return Health('ERROR', f'sigma of {sigma:.3g} m is above limits.sigma_error, {seen}')
+        return Health('ERROR', f'{state}, more than limits.sigma_error')
     if sigma > limits.sigma_warn:
-        return Health('WARN', f'sigma of {sigma:.3g} m is above limits.sigma_warn, {seen}')
+        return Health('WARN', f'{state}, more than limits.sigma_warn')
     if visible < min(limits.min_visible, nodes):
-        return Health('WARN', f'{seen}, fewer than limits.min_visible, sigma {sigma:.3g} m')
-    return Health('OK', f'{seen}, sigma {sigma:.3g} m')
+        return Health('WARN', f'{state}, fewer markers than limits.min_visible')
+    if rejected:
+        return Health('WARN', f'{state}, {rejected} labelled markers are at no node')
+    return Health('OK', state)

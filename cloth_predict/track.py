@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from cloth_predict.association import limit_of
 from cloth_predict.config import Config
 from cloth_predict.driven import DrivenNodes
 from cloth_predict.filters.linear import nearest_positive_definite
@@ -26,8 +28,7 @@ FASTEST = 5.0
 """Speed [m/s] that no marker exceeds."""
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """What the mocap system says at one time.
 
     stamp [ns]; positions [m], shape (nodes, 3), and visible, shape (nodes,), of the labelled
@@ -69,19 +70,20 @@ class Step:
 class Track:
     """The surface after a frame at `stamp` [ns].
 
-    last [ns], shape (nodes,): when each node was seen; left [m], shape (k, 3): markers of the
-    frame that were at no node.
+    last [ns], shape (nodes,): when each node was seen; good [ns]: when most markers were at nodes;
+    left [m], shape (k, 3): markers of the frame that were at no node.
     """
 
     stamp: int
     now: Start
     last: IntArray
+    good: int
     left: FloatArray = field(default_factory=no_points)
 
 
 def begin(start: Start, frame: Frame, config: Config) -> tuple[Track, Step]:
     """Track from a start at this frame, and which marker of the frame is which node."""
-    track = Track(frame.stamp, start, np.full(len(frame.visible), frame.stamp))
+    track = Track(frame.stamp, start, np.full(len(frame.visible), frame.stamp), frame.stamp)
     found = _identified(track, frame, np.zeros(len(frame.visible), bool), config)
     return track, Step('started', found.positions, found.visible, markers=_counted(found))
 
@@ -116,7 +118,9 @@ def _follow(track: Track, frame: Frame, config: Config) -> tuple[Track, Step]:
     sound = (np.diagonal(belief.marginals(rows(arrived.now)), axis1=1, axis2=2) > 0).all()
     belief = belief if sound else _repaired(belief)
     last = np.where(found.visible, frame.stamp, track.last)
-    after = Track(frame.stamp, replace(arrived.now, belief=belief), last, found.left)
+    lost = min(len(found.left), (~found.visible).sum()) > found.visible.sum()
+    good = track.good if lost else frame.stamp
+    after = Track(frame.stamp, replace(arrived.now, belief=belief), last, good, found.left)
     counted = _counted(found)
     return after, Step(
         'updated', found.positions, found.visible, innovation, counted, int(not sound)
@@ -151,18 +155,21 @@ def _identified(track: Track, frame: Frame, own: BoolArray, config: Config) -> I
     spread[mesh.free] = track.now.belief.marginals(rows(track.now))
     spread[mesh.driven] = track.now.driven.variances(0.0)[:, None, None] * np.eye(3)
     spread += _allowance(track, frame, config)
-    unseen = (frame.stamp - track.last) / NANOSECONDS
-    doubtful, overdue = unseen > DOUBTFUL, unseen > settings.patience
-    expected = Expected(predicted, spread, sure, doubtful, overdue)
+    doubtful = frame.stamp - track.last > DOUBTFUL * NANOSECONDS
+    expected = Expected(predicted, spread, sure, doubtful)
     reach = FASTEST * (frame.stamp - track.stamp) / NANOSECONDS
     return identify(expected, labelled, frame.points, track.left, reach, settings.gate)
 
 
 def _allowance(track: Track, frame: Frame, config: Config) -> FloatArray:
-    """What the gate allows beyond the belief's covariance [m^2], shape (nodes, 3, 3)."""
+    """What the gate allows beyond the belief's covariance [m^2], shape (nodes, 3, 3).
+
+    It grows while a node is not seen, until the gate reaches as far as to the nearest neighbour.
+    """
     settings = config.association
     unseen = (frame.stamp - track.last) / NANOSECONDS
-    slack = settings.slack + settings.drift * unseen
+    widest = track.now.mesh.springs.rest_length.min() / limit_of(settings.gate) ** 0.5
+    slack = np.minimum(settings.slack + settings.drift * unseen, max(widest, settings.slack))
     variance = slack**2 + config.filter.measurement_noise**2
     return np.asarray(variance[:, None, None] * np.eye(3))
 

@@ -12,7 +12,7 @@ from cloth_predict.errors import FrameError
 from cloth_predict.limits import Health, judge, require_certain, spread
 from cloth_predict.motion import NANOSECONDS, ahead, rows, surface
 from cloth_predict.rewind import Entry, Memory
-from cloth_predict.starting import Starter
+from cloth_predict.starting import Start, Starter
 from cloth_predict.topology import NO_TRIANGLES
 from cloth_predict.track import Frame, Step, Track, begin, follow
 from cloth_predict.types import BoolArray, FloatArray, IntArray, Surface
@@ -27,8 +27,9 @@ NO_POINTS = np.zeros((0, 3))
 class Tracker:
     """Follows a surface through frames of markers and predicts it; label i is node i.
 
-    counts: frames by outcome (see `Step`), and how often the covariance was `repaired` and the
-    estimate `diverged`; markers: markers by what they were taken for (see `Step.markers`).
+    counts: frames by outcome (see `Step`), and how often the covariance was `repaired`, and the
+    surface started anew because it had `diverged` or was `lost` (its markers were elsewhere);
+    markers: markers by what they were taken for (see `Step.markers`).
     """
 
     def __init__(self, config: Config) -> None:
@@ -40,7 +41,7 @@ class Tracker:
         self._memory: Memory | None = None
         self._starter = Starter(config)
         self._offered: int | None = None
-        self._visible = 0
+        self._step: Step | None = None
         self._sigma: float | None = None
 
     @property
@@ -69,8 +70,8 @@ class Tracker:
         frame = Frame(stamp, positions.copy(), visible.copy(), points.copy())
         step = self._advance(frame)
         self.counts[step.outcome] += 1
-        if step.outcome in ('updated', 'started', 'restarted', 'waiting'):
-            self._visible = int(step.visible.sum())
+        if step.outcome in ('updated', 'started', 'restarted'):
+            self._step = step
         return step
 
     def estimate(self) -> Surface:
@@ -91,11 +92,11 @@ class Tracker:
 
     def health(self) -> Health:
         """How well the surface is known: by the last prediction, and the markers in view."""
-        if self._memory is None:
+        if self._memory is None or self._step is None:
             return Health('WARN', f'no surface yet: {self._starter.reason}')
         if self._sigma is None:
             _, self._sigma = self._ahead(self.config.horizon)
-        return judge(self._sigma, self._visible, self.nodes, self.config.limits)
+        return judge(self._sigma, self._step, self.config.limits)
 
     def _ahead(self, horizon: float) -> tuple[Surface, float]:
         """Return the surface `horizon` [s] ahead, and its sigma [m]."""
@@ -139,6 +140,11 @@ class Tracker:
         except FloatingPointError:
             self.counts['diverged'] += 1
             return self._restart(frame)
+        if frame.stamp - track.good > self.config.association.patience * NANOSECONDS:
+            start = self._starter.offer(*frame)
+            if start is not None:
+                self.counts['lost'] += 1
+                return self._begin(start, frame, 'restarted')
         memory.add(Entry(frame, track, step))
         self._count(step, 1)
         return step
@@ -167,9 +173,12 @@ class Tracker:
 
     def _start(self, frame: Frame, outcome: str) -> Step:
         self._offered = frame.stamp
-        start = self._starter.offer(frame.stamp, frame.positions, frame.visible, frame.points)
+        start = self._starter.offer(*frame)
         if start is None:
             return Step('waiting', frame.positions, frame.visible)
+        return self._begin(start, frame, outcome)
+
+    def _begin(self, start: Start, frame: Frame, outcome: str) -> Step:
         track, step = begin(start, frame, self.config)
         self._memory = Memory(self.config.filter.rewind, Entry(frame, track, step))
         self._count(step, 1)
