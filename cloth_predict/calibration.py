@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cloth_predict.assembly import lengths_of
+from cloth_predict.assembly import aligned, lengths_of
 from cloth_predict.topology import Topology
 from cloth_predict.types import BoolArray, FloatArray, IntArray
 
@@ -30,7 +30,7 @@ class Calibration:
     def __init__(self, duration: float) -> None:
         self.duration = duration
         self.last = np.zeros((0, 3))
-        """Where each node was last seen [m], shape (nodes, 3); filled in where never."""
+        """Where each node is [m], shape (nodes, 3): hidden ones are carried along by the others."""
         self._seen = np.zeros(0, np.int64)
         self._frames: deque[Frame] = deque()
         self._begin = 0
@@ -50,7 +50,9 @@ class Calibration:
     def add(self, frame: Frame) -> None:
         """Take a frame later than the last."""
         self._frames.append(frame)
-        self.last = np.where(frame.visible[:, None], frame.positions, self.last)
+        if frame.visible.any():
+            carried = aligned(self.last, frame.positions, frame.visible)
+            self.last = np.where(frame.visible[:, None], frame.positions, carried)
         self._seen = np.where(frame.visible, frame.stamp, self._seen)
         while self._frames[0].stamp < frame.stamp - self.duration * 1e9:
             self._frames.popleft()

@@ -125,20 +125,33 @@ class Starter:
             self._require(frame)
         if self._topology is None:
             self._topology = topology_of(self._config.model, frame.positions)
-        joined = self._topology
-        surface, spread = complete(self._config.model, frame.positions, frame.visible, joined)
-        lengths = self._lengths(frame, joined, surface)
-        self._require(frame)
+        joined, model = self._topology, self._config.model
+        if model.rest_length == 'calibrated' and self._rest_length is None:
+            self._collect(frame, joined)
+            self._require(frame)
+            self._rest_length = self._calibration.lengths(joined.pairs)
+        surface, spread = complete(model, frame.positions, frame.visible, joined)
         if self._calibration.running:
             surface, spread = self._remembered(frame, joined, spread)
-        return _built(self._config, surface, spread, joined, lengths)
+        return _built(self._config, surface, spread, joined, self._lengths(frame, joined, surface))
+
+    def _collect(self, frame: Frame, joined: Topology) -> None:
+        """Take a frame for the rest lengths. Raises FrameError where there are too few so far."""
+        collected, model = self._calibration, self._config.model
+        if collected.running:
+            collected.add(frame)
+        else:
+            filled, _ = complete(model, frame.positions, frame.visible, joined)
+            collected.begin(frame, filled)
+        if not collected.complete:
+            raise FrameError(f'calibrating: {collected.elapsed:.2f} of {collected.duration:g} s')
 
     def _remembered(
         self, frame: Frame, joined: Topology, spread: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Surface and spread [m] where hidden nodes seen a little while ago are still there.
+        """Surface and spread [m] with hidden nodes as they were carried along since last seen.
 
-        That is while they cannot have gone farther than what filling them in has for an error.
+        That is while their own motion cannot have taken them farther than filling them in errs.
         """
         gone = self._config.filter.initial_velocity * self._calibration.unseen
         there = gone < spread
@@ -147,27 +160,13 @@ class Starter:
         return surface, np.where(there, gone, spread)
 
     def _lengths(self, frame: Frame, joined: Topology, surface: FloatArray) -> FloatArray:
-        """Rest lengths [m], shape (springs,). Raises FrameError while calibrating."""
-        model, pairs, known = self._config.model, joined.pairs, self._rest_length
-        if model.rest_length == 'calibrated':
-            known = self._calibrated(frame, joined, surface) if known is None else known
-            self._rest_length = known
-        else:
-            known = median_lengths(pairs, frame.positions[None], frame.visible[None])
-        if model.topology == 'grid':  # hidden nodes were filled in by the shape of the grid
-            return np.where(np.isnan(known), lengths_of(pairs, surface), known)
+        """Rest lengths [m], shape (springs,), calibrated or measured in this frame."""
+        known = self._rest_length
+        if known is None:
+            known = median_lengths(joined.pairs, frame.positions[None], frame.visible[None])
+        if self._config.model.topology == 'grid':  # hidden nodes were filled in by its shape
+            return np.where(np.isnan(known), lengths_of(joined.pairs, surface), known)
         return filled_in(known, joined, surface)
-
-    def _calibrated(self, frame: Frame, joined: Topology, surface: FloatArray) -> FloatArray:
-        collected = self._calibration
-        if collected.running:
-            collected.add(frame)
-        else:
-            collected.begin(frame, surface)
-        if not collected.complete:
-            raise FrameError(f'calibrating: {collected.elapsed:.2f} of {collected.duration:g} s')
-        self._require(frame)
-        return collected.lengths(joined.pairs)
 
     def _require(self, frame: Frame) -> None:
         if lack := self._lack(frame):

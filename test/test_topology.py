@@ -244,7 +244,7 @@ def test_the_edges_of_a_mesh_are_drawn():
     axes = Figure().add_subplot(projection='3d')
     edges = topology.delaunay(points).edges
     figures._draw_mesh(axes, points, edges, 'k', 'x')
-    (line,) = axes.get_lines()
+    _, line = axes.get_lines()
     x, z, y = np.array(line.get_data_3d()).reshape(3, len(edges), 3)
     assert np.isnan(x[:, 2]).all()
     drawn = np.stack([x, y, z], axis=-1)[:, :2]
