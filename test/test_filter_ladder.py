@@ -413,11 +413,14 @@ def test_beliefs_cannot_be_written_to_and_are_not_changed(kind):
     belief, kept = kalman.start(prior, model, INPUT, q), []
     rows = np.arange(9).reshape(3, 3)
     for obs, z, _ in frames(4):
+        u = INPUT.copy()
         kept.append((belief, [a.copy() for a in arrays(belief)]))
-        belief = kalman.predict(belief, model, INPUT, q, DT)
-        kalman.forecast(belief, model, [INPUT], q, DT, rows)
+        belief = kalman.predict(belief, model, u, q, DT)
+        kalman.forecast(belief, model, [u], q, DT, rows)
         kept.append((belief, [a.copy() for a in arrays(belief)]))
         belief, _ = kalman.update(belief, obs, z)
+        kept.append((belief, [a.copy() for a in arrays(belief)]))
+        u[:], z[:] = np.nan, np.nan  # they are the caller's, who may use them again
     for one, before in kept:
         for array, copy in zip(arrays(one), before, strict=True):
             np.testing.assert_array_equal(array, copy)
