@@ -206,7 +206,7 @@ def edges_of(model: ModelConfig, frames: FloatArray) -> IntArray:
 def _draw_mesh(
     axes: mpl.axes.Axes, nodes: FloatArray, edges: IntArray, colour: str, label: str
 ) -> None:
-    axes.scatter(nodes[:, 0], nodes[:, 2], nodes[:, 1], color=colour, s=4.0)
+    axes.plot(nodes[:, 0], nodes[:, 2], nodes[:, 1], 'o', color=colour, markersize=2.0)
     gap = np.full((len(edges), 1, 3), np.nan)  # one line with gaps draws faster than many
     line = np.concatenate([nodes[edges], gap], axis=1).reshape(-1, 3)
     axes.plot(line[:, 0], line[:, 2], line[:, 1], color=colour, linewidth=0.9, label=label)
