@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from references import even_surface, random_covariance, selection, state_jacobian
 
+from cloth_predict.assembly import rest_shape
+from cloth_predict.config import build
+from cloth_predict.evaluation import evaluate
 from cloth_predict.filters.gomes2016 import Gomes2016
 from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.types import Gaussian
+from cloth_predict.predictors import methods
+from cloth_predict.types import Gaussian, MarkerSequence
 
 SIGMA, DT = 1e-3, 0.01
 
@@ -147,3 +151,32 @@ def test_an_innovation_covariance_without_an_inverse_is_an_error_of_arithmetic()
     obs = VisiblePositions(np.array([0, 1]), np.zeros(2))
     with pytest.raises(FloatingPointError, match='has no inverse'):
         Gomes2016().update(Gaussian(np.zeros(2), np.ones((2, 2))), obs, np.ones(2))
+
+
+@pytest.mark.parametrize(('limit', 'coverage'), [(0.05, None), (1e300, (1.0, 1.0, 1.0))])
+def test_an_evaluation_tells_how_wrong_it_is(limit, coverage, capfd):
+    config = build(
+        {
+            'model': {'rows': 3, 'cols': 3, 'width': 0.4, 'height': 0.4, 'mass': 0.05},
+            'anchors': {'nodes': [0, 1, 2]},
+            'filter': {'kind': 'gomes2016', 'measurement_noise': SIGMA},
+            'limits': {'sigma_error': limit},
+        },
+        'test',
+    )
+    rng, rest = np.random.default_rng(7), rest_shape(config.model)
+    swing = 0.02 * np.abs(rest[:, 1:2]) * np.sin(0.05 * np.arange(150))[:, None, None]
+    positions = rest + swing + rng.normal(0, SIGMA, (150, 9, 3))
+    markers = MarkerSequence(
+        10**7 * np.arange(150), tuple('abcdefghi'), positions, np.ones((150, 9), bool)
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        found = evaluate(markers, config, 0.1, makers=methods(['ekf', 'gomes2016']))
+    assert capfd.readouterr() == ('', '')
+    assert found.scores['ekf'].rmse_free_mm < 30
+    details, score = found.details['gomes2016'], found.scores['gomes2016']
+    # sigma is so large that the limit withholds every prediction, or that it covers metres
+    assert details.coverage == coverage
+    assert details.nis < 1e-3  # a filter that knows its errors has 1
+    assert not score.rmse_free_mm < 1e3  # NaN where nothing is predicted
