@@ -28,9 +28,9 @@ class Memory:
         self._entries = [first]
 
     @property
-    def last(self) -> Track:
-        """The track after the latest frame."""
-        return self._entries[-1].track
+    def latest(self) -> Entry:
+        """The latest frame."""
+        return self._entries[-1]
 
     def add(self, entry: Entry) -> None:
         """Take a frame that is later than all others, and forget what is out of reach."""

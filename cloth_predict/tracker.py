@@ -41,7 +41,6 @@ class Tracker:
         self._memory: Memory | None = None
         self._starter = Starter(config)
         self._offered: int | None = None
-        self._step: Step | None = None
         self._sigma: float | None = None
 
     @property
@@ -70,8 +69,6 @@ class Tracker:
         frame = Frame(stamp, positions.copy(), visible.copy(), points.copy())
         step = self._advance(frame)
         self.counts[step.outcome] += 1
-        if step.outcome in ('updated', 'started', 'restarted'):
-            self._step = step
         return step
 
     def estimate(self) -> Surface:
@@ -86,17 +83,21 @@ class Tracker:
         Raises FrameError where there is no surface yet, or none that is finite, and its kind
         UncertainError where sigma is above `limits.sigma_error`.
         """
+        self._sigma = None
         found, self._sigma = self._ahead(horizon)
         require_certain(self._sigma, self.config.limits)
         return found
 
     def health(self) -> Health:
         """How well the surface is known: by the last prediction, and the markers in view."""
-        if self._memory is None or self._step is None:
+        if self._memory is None:
             return Health('WARN', f'no surface yet: {self._starter.reason}')
         if self._sigma is None:
-            _, self._sigma = self._ahead(self.config.horizon)
-        return judge(self._sigma, self._step, self.config.limits)
+            try:
+                _, self._sigma = self._ahead(self.config.horizon)
+            except FrameError as error:
+                return Health('ERROR', str(error))
+        return judge(self._sigma, self._memory.latest.step, self.config.limits)
 
     def _ahead(self, horizon: float) -> tuple[Surface, float]:
         """Return the surface `horizon` [s] ahead, and its sigma [m]."""
@@ -127,7 +128,7 @@ class Tracker:
 
     def _advance(self, frame: Frame) -> Step:
         memory = self._memory
-        latest = memory.last.stamp if memory else self._offered
+        latest = memory.latest.track.stamp if memory else self._offered
         dt = 0.0 if latest is None else (frame.stamp - latest) / NANOSECONDS
         if dt > self.config.filter.max_gap or dt < -self.config.filter.max_backstep:
             return self._restart(frame)
@@ -136,7 +137,7 @@ class Tracker:
         if dt <= 0:
             return self._late(memory, frame)
         try:
-            track, step = self._follow(memory.last, frame)
+            track, step = self._follow(memory.latest.track, frame)
         except FloatingPointError:
             self.counts['diverged'] += 1
             return self._restart(frame)
@@ -175,7 +176,8 @@ class Tracker:
         self._offered = frame.stamp
         start = self._starter.offer(*frame)
         if start is None:
-            return Step('waiting', frame.positions, frame.visible)
+            seen = np.where(frame.visible[:, None], frame.positions, np.nan)
+            return Step('waiting', seen, frame.visible)
         return self._begin(start, frame, outcome)
 
     def _begin(self, start: Start, frame: Frame, outcome: str) -> Step:
@@ -196,7 +198,7 @@ class Tracker:
     def _track(self) -> Track:
         if self._memory is None:
             raise FrameError(f'no surface yet: {self._starter.reason}')
-        return self._memory.last
+        return self._memory.latest.track
 
 
 def _unused(frame: Frame, outcome: str = 'late') -> Step:
