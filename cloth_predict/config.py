@@ -190,9 +190,11 @@ class FilterConfig:
     )
     window: float = param(
         0.1,
-        'least_squares: time over which the state is fitted to all measurements',
+        'least_squares: time over which the state is fitted to all measurements; its cost grows '
+        'with the number of frames in it',
         's',
         above=0,
+        high=1,
     )
     forgetting: float = param(
         0.03,
@@ -260,9 +262,7 @@ class AssociationConfig:
 class LimitsConfig:
     """From where on a prediction is doubtful, and from where on there is none."""
 
-    min_visible: int = param(
-        3, 'warn of fewer markers than this: three fix a rigid motion', low=0
-    )
+    min_visible: int = param(3, 'warn of fewer markers than this: three fix a rigid motion', low=0)
     sigma_warn: float = param(
         0.025,
         'warn of a larger sigma of a prediction (root mean square over the free nodes)',

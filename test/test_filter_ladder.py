@@ -325,7 +325,7 @@ def test_the_thesis_recursion_leaves_the_bands():
 @functools.cache
 def followed(kind, count=300):
     """Beliefs and true states on springs, over frames of which a third of the markers miss."""
-    (model, q, prior), kalman = on_springs(), made(kind, window=0.08)
+    (model, q, prior), kalman = on_springs(), made(kind, window=0.04)
     belief, found = kalman.start(prior, model, INPUT, q), []
     for obs, z, truth in frames(count):
         belief = kalman.predict(belief, model, INPUT, q, DT)

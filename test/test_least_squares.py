@@ -1,5 +1,6 @@
 """Least squares against the closed form, the textbook's filter and another optimiser."""
 
+import warnings
 from math import exp
 
 import numpy as np
@@ -16,7 +17,8 @@ from references import (
 )
 from scipy.optimize import least_squares
 
-from cloth_predict.filters.least_squares import LeastSquares, RecursiveLeastSquares
+from cloth_predict.filters.least_squares import LeastSquares
+from cloth_predict.filters.recursive_least_squares import RecursiveLeastSquares
 from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import Gaussian
@@ -227,3 +229,15 @@ def test_what_is_forgotten_depends_on_time_and_not_on_the_frame_rate():
         for _ in range(steps):
             belief = kalman.predict(belief, still, NO_INPUT, np.zeros(2), 0.1 / steps)
         np.testing.assert_allclose(belief.cov, exp(0.5) * prior.cov, rtol=1e-14)  # rounding
+
+
+def test_blind_for_too_long_it_overflows_as_an_error_of_arithmetic():
+    still, prior = Linear(np.zeros((2, 2))), Gaussian(np.zeros(2), np.eye(2))
+    kalman = RecursiveLeastSquares(INTEGRATORS['rk4'], 0.01)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        with pytest.raises(FloatingPointError, match='overflow'):
+            kalman.predict(prior, still, NO_INPUT, np.zeros(2), 8.0)
+        rows = np.array([[0, 1]])
+        with pytest.raises(FloatingPointError, match='overflow'):
+            kalman.forecast(prior, still, [NO_INPUT] * 8, np.zeros(2), 1.0, rows)

@@ -9,7 +9,8 @@ from cloth_predict.config import Config
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.fixed_gain import FixedGain
 from cloth_predict.filters.gomes2016 import Gomes2016
-from cloth_predict.filters.least_squares import LeastSquares, RecursiveLeastSquares
+from cloth_predict.filters.least_squares import LeastSquares
+from cloth_predict.filters.recursive_least_squares import RecursiveLeastSquares
 from cloth_predict.filters.reduced_rank import Modes, ReducedRank
 from cloth_predict.filters.sigma_points import SigmaPointFilter
 from cloth_predict.integrators import INTEGRATORS

@@ -1,13 +1,12 @@
-"""Least squares (Gomes 2016, section 4.1): recursive with forgetting, and over a sliding window.
+"""Least squares over a sliding window of measurements (Gomes 2016, section 4.1).
 
-Both take the model as exact: the data forget, in place of noise that drives the state.
+Within the window the model is taken as exact: the fit is to one state, that at its start.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import exp
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -29,51 +28,6 @@ ITERATIONS = 3
 """Most Gauss-Newton iterations per update: it starts close, at the fit to the frame before."""
 CONVERGED = 1e-2
 """Change of the whole state, in standard deviations of the fit, below which it stops."""
-
-
-@dataclass(frozen=True)
-class RecursiveLeastSquares:
-    """Weighs a measurement by exp(-age / forgetting) and moves the state by the model's step.
-
-    On a linear model the mean minimises the weighted squared residuals (Gomes 2016, eq. 4.10;
-    4.11 is the recursion). The covariance is (A' W A)^-1 with the weights in W; of a state that
-    is neither measured nor damped it grows without bound.
-    """
-
-    integrator: Integrator
-    forgetting: float
-    """Time constant [s]."""
-
-    def start(self, prior: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray) -> Gaussian:
-        """Belief before the first measurement: the prior, which is forgotten too."""
-        return prior
-
-    def predict(
-        self, belief: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray, dt: float
-    ) -> Gaussian:
-        """Belief dt [s] later: x = step(x), P = F P F' exp(dt / forgetting); q plays no part."""
-        mean, tangent = self.integrator.step_tangent(model, belief.mean, u, dt)
-        return Gaussian(mean, exp(dt / self.forgetting) * propagate(belief.cov, tangent, 0.0 * q))
-
-    def update(
-        self, belief: Gaussian, obs: Observation, z: FloatArray
-    ) -> tuple[Gaussian, Innovation]:
-        """Belief given z (Gomes 2016, eq. 4.11, for a whole frame at once)."""
-        return condition(belief, obs.jac(belief.mean), obs.cov, z - obs.h(belief.mean))
-
-    def forecast(
-        self,
-        belief: Gaussian,
-        model: Dynamics,
-        inputs: Sequence[FloatArray],
-        q: FloatArray,
-        dt: float,
-        rows: IntArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariances of `rows` after one step of dt [s] per input."""
-        ekf = ExtendedKalmanFilter(self.integrator)
-        mean, cov = ekf.forecast(belief, model, inputs, 0.0 * q, dt, rows)
-        return mean, exp(len(inputs) * dt / self.forgetting) * cov
 
 
 @dataclass(frozen=True)
