@@ -225,11 +225,13 @@ def test_inputs_may_be_written_to_afterwards() -> None:
     check = LiveCheck(10.0, 0.0, TWO)
     position, visible = np.zeros((2, 3)), np.ones(2, bool)
     for k in range(5):
-        position[:], visible[:] = 0.0, True
+        position[:], visible[:] = 0.5 * k, True
         check.measured(FRAME * k, position, visible)
-        check.predicted('a', surface(FRAME * k + FRAME // 2, np.zeros((2, 3))))
+        check.predicted('a', surface(FRAME * k + FRAME // 2, np.full((2, 3), 0.5 * k + 0.25)))
         position[:], visible[:] = 7.0, False
-    assert check.report()['a'] == Realised(4, 0.0, 0.0, (1.0, 1.0, 1.0))
+    found = check.report()['a']
+    assert (found.count, found.error_mm) == (4, 0.0)
+    assert found.hold_mm == pytest.approx(250 * np.sqrt(3))
 
 
 # --- what is said of it

@@ -141,6 +141,15 @@ def test_the_live_check_agrees_with_the_evaluation(watched, towel, monkeypatch, 
         assert found[f'coverage_{k}_sigma{end}'] == f'{share:.4f}'
 
 
+def test_the_live_check_takes_no_late_frame(graph, towel):
+    live = Live(graph, horizon=0.05)
+    for k in [*range(17), 18, 19, 17, *range(20, 25)]:
+        live.take(sent(towel, k))
+    # those of frames 0 to 19 without 17; that for frame 17 is compared between 16 and 18
+    graph.until(lambda: values(graph).get('realised_count') == '19')
+    assert values(graph)['rewound_steps'] == '1'
+
+
 def test_a_prediction_worse_than_the_last_frame_is_told(graph, towel):
     live = Live(graph, **{'model.gravity': [0.0, -9.81, 300.0], 'filter.process_noise': 0.0})
     for k in range(130):
@@ -229,21 +238,21 @@ def test_auto_with_clocks_that_have_nothing_in_common_is_told(graph, towel):
 def test_a_blackout_warns_then_stops_the_prediction_and_ends_by_itself(graph, towel):
     live = Live(graph)
     for k in range(20):
-        live.take(sent(towel, k))
+        live.take(sent(towel, 0, 10 * MS * k))
     live.told(OK, 'running')
     for k in range(20, 23):
-        live.take(frame(int(towel.stamps[k]), NOTHING))
+        live.take(frame(10 * MS * k, NOTHING))
     assert '0 of 20' in live.told(WARN, 'markers')
     for k in range(23, 150):
-        live.take(frame(int(towel.stamps[k]), NOTHING))
+        live.take(frame(10 * MS * k, NOTHING))
     assert 'limits.sigma_error' in live.told(ERROR, 'no prediction')
     count = len(graph.heard['cloth/prediction'])
-    live.take(frame(int(towel.stamps[150]), NOTHING))
+    live.take(frame(1500 * MS, NOTHING))
     live.told(ERROR, 'no prediction')
     assert len(graph.heard['cloth/prediction']) == count < 150
     assert len(graph.heard['cloth/estimate']) == count
     for k in range(151, 160):
-        live.take(sent(towel, k))
+        live.take(sent(towel, 0, 10 * MS * k))
     live.told(OK, 'running')
-    last = live.heard('cloth/prediction', count + 1)[-1]
-    assert nanoseconds(last.header.stamp) == int(towel.stamps[159]) + 100 * MS
+    last = live.heard('cloth/prediction', count + 9)[-1]
+    assert nanoseconds(last.header.stamp) == 1690 * MS

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -359,6 +360,22 @@ def test_replay_marks_what_the_mocap_system_did_not_identify(graph, towel, tmp_p
     assert points['id'].tolist() == [UNLABELLED, *range(1, 20)]
 
 
+def test_replay_sends_what_was_not_identified_beside_the_nodes(graph, towel, tmp_path):
+    labels = ('Unlabeled 7', *towel.labels[1:], 'Unlabeled 8', 'cloth:0')
+    columns = [0, *range(1, 20), 3, 0]
+    mixed = MarkerSequence(
+        towel.stamps[:2], labels, towel.positions[:2, columns], towel.visible[:2, columns]
+    )
+    write_recording(tmp_path / 'mixed', Recording(mixed))
+    node = replay(graph, tmp_path / 'mixed')
+    graph.until(lambda: node.finished)
+    points = decode(graph.heard['markers'][0], ('x', 'y', 'z', 'id')).ravel()
+    # without the parameter labels the labelled markers are the nodes, in their order
+    assert points['id'].tolist() == [*range(20), UNLABELLED, UNLABELLED]
+    places = [*range(1, 20), 0, 0, 3]
+    np.testing.assert_array_equal(xyz(points), towel.positions[0, places])
+
+
 @pytest.mark.parametrize(
     ('parameters', 'words'),
     [
@@ -459,6 +476,47 @@ def test_nodes_end_cleanly_on_a_signal(graph, sent):
     finally:
         for one in running:
             one.kill()
+
+
+def python(code):
+    return subprocess.Popen(
+        [sys.executable, '-c', code], cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE,
+        env=os.environ | {'ROS_DOMAIN_ID': str(next(DOMAINS))}, text=True,
+    )  # fmt: skip
+
+
+def test_an_interrupt_while_a_node_is_imported_is_quiet():
+    running = python('from cloth_predict.nodes.start import ekf_node; ekf_node()')
+    maps = Path(f'/proc/{running.pid}/maps')
+    deadline = time.monotonic() + DEADLINE
+    # numpy comes before rclpy; where the node is faster than this loop it ends as by any Ctrl-C
+    while 'numpy' not in maps.read_text():
+        assert time.monotonic() < deadline
+    running.send_signal(signal.SIGINT)
+    _, errors = running.communicate(timeout=DEADLINE)
+    assert running.returncode in (-signal.SIGINT, 0)
+    assert errors == ''
+
+
+def test_a_node_ends_on_a_signal_in_the_middle_of_a_long_call():
+    code = """
+import time
+from cloth_predict.nodes import _ros
+_ros.SHUTDOWN_LIMIT = 0.5
+def forever():
+    print('running', flush=True)
+    while True:
+        time.sleep(60)
+_ros.run(forever)
+"""
+    running = python(code)
+    try:
+        assert running.stdout.readline() == 'running\n'
+        running.terminate()
+        _, errors = running.communicate(timeout=DEADLINE)
+        assert (running.returncode, errors) == (0, '')
+    finally:
+        running.kill()
 
 
 def test_markers_can_be_sent_from_a_bag_written_by_hand(tmp_path, towel):

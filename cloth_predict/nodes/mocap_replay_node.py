@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
-from cloth_predict.association import markers_of_nodes
+from cloth_predict.cases import split
 from cloth_predict.errors import ConfigError
 from cloth_predict.formats.pointcloud import encode_markers
 from cloth_predict.formats.recording import read
@@ -35,10 +35,12 @@ class MocapReplayNode(ConfiguredNode):
         replay = self.config.replay
         if not replay.path:
             raise ConfigError(f'{self.get_name()}: replay.path: no recording is given')
-        markers = markers_of_nodes(read(Path(replay.path)).markers, self.config, replay.path)
+        recording = read(Path(replay.path)).markers
+        of_nodes, others = split(recording, self.config, replay.path)
+        self._markers = markers = of_nodes.beside(others)
         # what was chosen by its label is a node, whatever the mocap system called it
-        self._unlabelled = markers.unlabelled & (not self.config.labels)
-        self._markers = markers
+        self._unlabelled = markers.unlabelled
+        self._unlabelled[: len(of_nodes.labels)] &= not self.config.labels
         self._rng = np.random.default_rng(replay.seed)
         seconds = (markers.stamps - markers.stamps[0]) / 1e9
         self._first = int(np.searchsorted(seconds, replay.start))
