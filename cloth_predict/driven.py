@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.filters.kinematic import KinematicTrack
+from cloth_predict.filters.kinematic_bank import KinematicBank
 from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.types import BoolArray, Dynamics, FloatArray, IntArray
 
@@ -24,39 +24,33 @@ class DrivenNodes:
         self.nodes = nodes
         self._integrator = INTEGRATORS[config.filter.integrator]
         self._moving = bool(len(nodes)) and config.anchors.motion != 'fixed'
-        self._tracks = [
-            KinematicTrack(
-                config.anchors.motion,
-                config.anchors.process_noise,
-                config.filter.measurement_noise,
-                surface[node],
-                config.filter.initial_velocity,
-            )
-            for node in nodes
-        ]
+        unseen = KinematicBank.unseen(
+            config.anchors.motion,
+            config.anchors.process_noise,
+            config.filter.measurement_noise,
+            len(nodes),
+            config.filter.initial_velocity,
+        )
+        self._bank, _ = unseen.updated(surface[nodes], np.ones(len(nodes), bool))
 
     def copy(self) -> DrivenNodes:
         """Return a copy that can be moved on by itself."""
-        other = copy.copy(self)
-        other._tracks = [track.copy() for track in self._tracks]
-        return other
+        return copy.copy(self)  # a bank is never changed once made
 
     def advance(self, dt: float) -> None:
         """Move on by dt [s]."""
-        for track in self._tracks:
-            track.predict(dt)
+        self._bank = self._bank.moved(dt)
 
     def update(self, positions: FloatArray, visible: BoolArray) -> None:
         """Take the measured positions [m], shape (nodes, 3), of the visible ones, (nodes,)."""
-        for node, track in zip(self.nodes, self._tracks, strict=True):
-            if visible[node]:
-                track.update(positions[node])
+        if visible[self.nodes].any():
+            self._bank, _ = self._bank.updated(positions[self.nodes], visible[self.nodes])
 
     def extrapolate(self, ahead: float) -> FloatArray:
         """Positions [m], velocities and accelerations after `ahead` [s], shape (3, driven, 3)."""
-        if not self._tracks:
-            return np.zeros((3, 0, 3))
-        return np.stack([track.extrapolate(ahead) for track in self._tracks], axis=1)
+        derivatives = np.zeros((3, len(self.nodes), 3))
+        derivatives[: self._bank.order] = self._bank.mean_at(ahead).transpose(1, 0, 2)
+        return derivatives
 
     def path(self, times: Sequence[float]) -> list[tuple[FloatArray, FloatArray]]:
         """Position [m] at the start of each interval between `times` [s], and mean velocity."""
@@ -88,4 +82,4 @@ class DrivenNodes:
 
     def variances(self, ahead: float) -> FloatArray:
         """Variance [m^2] of a coordinate of the positions after `ahead` [s], shape (driven,)."""
-        return np.array([track.variance(ahead) for track in self._tracks])
+        return self._bank.ahead(ahead)[1]

@@ -10,9 +10,6 @@ import numpy as np
 from cloth_predict.filters.kinematic import ORDERS, transition, white_noise
 from cloth_predict.types import BoolArray, FloatArray
 
-SPREAD = 1.0
-"""Standard deviation of the unknown derivatives when a marker is first seen, in SI units."""
-
 
 @dataclass(frozen=True)
 class KinematicBank:
@@ -20,25 +17,44 @@ class KinematicBank:
 
     mean, shape (markers, order, 3): position [m] and its derivatives; cov, shape
     (markers, order, order), of each coordinate; both NaN of a marker that was never seen.
-    density: spectral density of the driving noise; variance [m^2] of a measured coordinate.
+    density, shape (markers,): spectral densities of the driving noise; variance [m^2] of a
+    measured coordinate; spread: standard deviation of the unknown derivatives when a marker is
+    first seen, in SI units.
     """
 
     mean: FloatArray
     cov: FloatArray
-    density: float
+    density: FloatArray
     variance: float
+    spread: float = 1.0
 
     @classmethod
-    def unseen(cls, motion: str, density: float, sigma: float, markers: int) -> KinematicBank:
-        """Nothing is known yet; sigma [m] of a measured coordinate."""
+    def unseen(
+        cls,
+        motion: str,
+        density: float | FloatArray,
+        sigma: float,
+        markers: int,
+        spread: float = 1.0,
+    ) -> KinematicBank:
+        """Nothing is known yet; density of all or of each, sigma [m] of a measured coordinate."""
         order = ORDERS[motion]
         mean, cov = np.full((markers, order, 3), nan), np.full((markers, order, order), nan)
-        return cls(mean, cov, density, sigma**2)
+        return cls(mean, cov, np.broadcast_to(density, markers), sigma**2, spread)
+
+    @property
+    def order(self) -> int:
+        """Number of derivatives in the state, the position among them."""
+        return int(self.mean.shape[1])
+
+    def mean_at(self, ahead: float) -> FloatArray:
+        """Position [m] and its derivatives `ahead` [s] later, shape (markers, order, 3)."""
+        return transition(self.order, ahead) @ self.mean
 
     def moved(self, dt: float) -> KinematicBank:
         """Return the belief dt [s] later."""
-        order = self.mean.shape[1]
-        step, noise = transition(order, dt), white_noise(order, self.density, dt)
+        step = transition(self.order, dt)
+        noise = self.density[:, None, None] * white_noise(self.order, 1.0, dt)
         return replace(self, mean=step @ self.mean, cov=step @ self.cov @ step.T + noise)
 
     def updated(self, positions: FloatArray, visible: BoolArray) -> tuple[KinematicBank, float]:
@@ -58,7 +74,7 @@ class KinematicBank:
         noise = self.variance * gain[:, :, None] * gain[:, None]
         cov[known] = keep @ before @ keep.transpose(0, 2, 1) + noise  # Joseph's form
         mean[new], mean[new, 0] = 0.0, positions[new]
-        cov[new] = np.diag([self.variance] + [SPREAD**2] * (order - 1))
+        cov[new] = np.diag([self.variance] + [self.spread**2] * (order - 1))
         nis = float(np.mean(residual**2 / total[:, None])) if len(known) else nan
         return replace(self, mean=mean, cov=cov), nis
 
