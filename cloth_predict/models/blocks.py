@@ -43,9 +43,10 @@ class BlockStructure:
         keys, block = np.unique(a * len(free) + b, return_inverse=True)
         source = np.concatenate([spring, each[both], each[both]])
         weight = np.repeat([-1.0, 1.0], [len(ends), 2 * both.sum()])
-        self._scatter = sparse.csr_array(
+        scatter = sparse.csr_array(
             (weight, (block[len(free) :], source)), shape=(len(keys), len(pairs))
         )
+        self._scatter = scatter.toarray() if self.dense else scatter
         self.a, self.b = keys // len(free), keys % len(free)
         self._indptr = np.searchsorted(self.a, np.arange(len(free) + 1))
         self._row, self._col = _scalars(self.a, self.b)
