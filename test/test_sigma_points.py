@@ -61,7 +61,7 @@ def moved(kalman, mean, cov, q=0.0, dt=1.0):
 def test_points_and_weights_are_those_of_van_der_merwe(alpha):
     rng = np.random.default_rng(1)
     mean, cov = rng.normal(size=5), random_covariance(rng, 5)
-    points, mean_weights, cov_weights = ukf(None, alpha).points(cov, Gaussian(mean, cov))
+    points, mean_weights, cov_weights = ukf(None, alpha).points(mean, cov)
     other = MerweScaledSigmaPoints(5, alpha, beta=2.0, kappa=0.0)
     np.testing.assert_allclose(points, other.sigma_points(mean, cov), atol=1e-13)  # rounding
     # filterpy takes c = (c - n) + n, which costs digits where alpha is small
@@ -72,7 +72,7 @@ def test_points_and_weights_are_those_of_van_der_merwe(alpha):
 def test_points_of_the_cubature_filter_are_filterpys():
     rng = np.random.default_rng(2)
     mean, cov = rng.normal(size=5), random_covariance(rng, 5)
-    points, mean_weights, cov_weights = ckf(None).points(cov, Gaussian(mean, cov))
+    points, mean_weights, cov_weights = ckf(None).points(mean, cov)
     np.testing.assert_allclose(points, spherical_radial_sigmas(mean, cov), atol=1e-14)  # rounding
     np.testing.assert_allclose(mean_weights, 0.1, rtol=1e-15)  # rounding
     np.testing.assert_allclose(cov_weights, 0.1, rtol=1e-15)  # rounding

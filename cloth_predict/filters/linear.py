@@ -16,11 +16,15 @@ def propagate(cov: FloatArray, tangent: Tangent, noise: FloatArray) -> FloatArra
     reaches the positions.
     """
     half = 0.5 * noise
-    start = cov.copy()
-    start.flat[:: len(half) + 1] += half
-    end = tangent.push(tangent.push(start).T)  # F (F P)' = F P F', as P is symmetric
-    end.flat[:: len(half) + 1] += half
-    return symmetric(end)
+    end = tangent.push(tangent.push(spread(cov, half)).T)  # F (F P)' = F P F', as P is symmetric
+    return symmetric(spread(end, half))
+
+
+def spread(cov: FloatArray, variance: FloatArray) -> FloatArray:
+    """Covariance with an independent noise of `variance`, shape (dim_x,), on each state."""
+    wider = cov.copy()
+    wider.flat[:: len(variance) + 1] += variance
+    return wider
 
 
 def condition(

@@ -9,7 +9,7 @@ from math import sqrt
 import numpy as np
 
 from cloth_predict.filters.ahead import run_ahead
-from cloth_predict.filters.linear import condition, root, symmetric
+from cloth_predict.filters.linear import condition, root, spread, symmetric
 from cloth_predict.types import (
     Dynamics,
     FloatArray,
@@ -55,26 +55,28 @@ class SigmaPointFilter:
         `linear.propagate`: on a linear model this is the EKF. Raises FloatingPointError where the
         covariance is not positive definite.
         """
-        points, mean_weights, cov_weights = self.points(spread(belief.cov, 0.5 * dt * q), belief)
+        half = 0.5 * dt * q
+        wider = spread(belief.cov, half)
+        points, mean_weights, cov_weights = self.points(belief.mean, wider)
         moved = np.array([self.integrator.step(model, point, u, dt) for point in points])
         offset = moved - moved[0]
         shift = mean_weights @ offset
         centred = offset - shift
         cov = symmetric((cov_weights[:, None] * centred).T @ centred)
-        return Gaussian(moved[0] + shift, spread(cov, 0.5 * dt * q))
+        return Gaussian(moved[0] + shift, spread(cov, half))
 
     def points(
-        self, cov: FloatArray, belief: Gaussian
+        self, mean: FloatArray, cov: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Points around the mean, (points, dim_x), and their weights for mean and covariance."""
-        n = len(belief.mean)
+        n = len(mean)
         scale = self.alpha**2 * n
         sides = sqrt(scale) * root(cov, 'covariance').T
         centre = 1.0 - 1.0 / self.alpha**2
         weights = np.full(2 * n + 1, 0.5 / scale)
         mean_weights, cov_weights = weights.copy(), weights
         mean_weights[0], cov_weights[0] = centre, centre + 1.0 - self.alpha**2 + self.beta
-        points = belief.mean + np.concatenate([np.zeros((1, n)), sides, -sides])
+        points = mean + np.concatenate([np.zeros((1, n)), sides, -sides])
         weighted = slice(0 if mean_weights[0] or cov_weights[0] else 1, None)
         return points[weighted], mean_weights[weighted], cov_weights[weighted]
 
@@ -95,10 +97,3 @@ class SigmaPointFilter:
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and covariances of `rows` after one step of dt [s] per input, each by `predict`."""
         return run_ahead(self, belief, model, inputs, q, dt, rows)
-
-
-def spread(cov: FloatArray, variance: FloatArray) -> FloatArray:
-    """Covariance with an independent noise of `variance`, shape (dim_x,), on each state."""
-    wider = cov.copy()
-    wider.flat[:: len(variance) + 1] += variance
-    return wider
