@@ -282,6 +282,14 @@ def test_labels_that_contradict_the_shape_are_not_mixed_with_it(towel):
     assert 'labelled as node 5 lies at node 14' in starter.reason
 
 
+def test_a_label_is_believed_where_the_shape_has_no_node(towel):
+    positions, visible = towel[1][0].copy(), np.isin(np.arange(20), [0, 1, 13])
+    positions[13] += [0.1, 0.0, 0.4]
+    found, there = label(TOWEL.model, positions, visible, positions[~visible])
+    assert there.all()
+    np.testing.assert_array_equal(found, positions)
+
+
 def test_a_failed_search_is_not_repeated_at_once(towel, monkeypatch):
     calls = []
     monkeypatch.setattr(
