@@ -21,6 +21,11 @@ from cloth_predict.nodes._ros import ConfiguredNode, cloud, nanoseconds, run
 from cloth_predict.tracker import Step, Tracker
 from cloth_predict.types import Surface
 
+DROPPED = {
+    'late': 'its stamp is too far before the latest one, see filter.rewind',
+    'duplicate': 'there is one with its stamp already',
+}
+
 
 class EkfNode(ConfiguredNode):
     """Drives a Tracker: markers in, estimate, predictions and mesh out."""
@@ -51,8 +56,8 @@ class EkfNode(ConfiguredNode):
         except FrameError as error:
             self._diagnostics.drop('bad', str(error))
             return
-        if step.outcome in ('late', 'duplicate'):
-            self._diagnostics.drop(step.outcome, 'its stamp is not after the one before')
+        if step.outcome in DROPPED:
+            self._diagnostics.drop(step.outcome, DROPPED[step.outcome])
             return
         self._unlabelled = len(points)
         self._step = step
@@ -61,11 +66,12 @@ class EkfNode(ConfiguredNode):
             found = self._predict(begin, age)
         else:
             self._health, self._refused = self._tracker.health(), {}
+        latency = time.perf_counter() - begin
         if step.outcome != 'rewound':  # the check takes frames in their order
             self._check.measured(stamp, step.positions, step.visible)
             for topic, surface in found.items():
                 self._check.predicted(topic, surface)
-        self._diagnostics.frame(time.perf_counter() - begin)
+        self._diagnostics.frame(latency)
 
     def _predict(self, begin: float, age: float) -> dict[str, Surface]:
         """Publish the surface ahead, and then now; returns what is predicted by topic."""
@@ -79,7 +85,6 @@ class EkfNode(ConfiguredNode):
                 self._refused[topic] = str(error)
             except FrameError as error:
                 self._diagnostics.drop('unpredicted', str(error))
-                continue
             if topic == PREDICTION:  # of which the health speaks
                 self._delay.add(age, time.perf_counter() - begin)
                 self._health = self._tracker.health()
