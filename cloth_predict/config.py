@@ -55,7 +55,8 @@ class ModelConfig:
     kind: str = param('mass_spring', 'model of the surface', choices=('mass_spring',))
     topology: str = param(
         'grid',
-        'which nodes are joined: rows and columns, listed edges, or a triangulation at the start',
+        'which nodes are joined: rows and columns, listed edges, or a triangulation at the start '
+        '(its markers without labels are numbered as they come)',
         choices=('grid', 'edges', 'delaunay'),
     )
     rows: int = param(5, 'rows of nodes of a grid; a chain has 1', low=1)
