@@ -10,16 +10,16 @@ import numpy as np
 
 from cloth_predict.cases import Case
 from cloth_predict.config import Config
-from cloth_predict.judging import Run, follow, judge
-from cloth_predict.metrics import rms
+from cloth_predict.judging import Run, asked_at, follow
 from cloth_predict.predictors import Kinematic
+from cloth_predict.types import BoolArray, FloatArray
 
 DECADES = np.arange(-3.0, 3.5, 0.5)
 """Spectral densities tried first, in powers of ten of the configured one."""
 FARTHEST = 9.0
 """Powers of ten beyond which the search goes no farther."""
 REFINED = (0.25, 0.125)
-"""Steps, in powers of ten, around the best so far: half of the last is an error below 0.1 %."""
+"""Steps, in powers of ten, to both sides of the best so far."""
 
 
 class Choice(NamedTuple):
@@ -29,62 +29,86 @@ class Choice(NamedTuple):
     run: Run
 
 
-class _Search:
-    """Tries spectral densities of one kind of filter; keeps the best for each horizon."""
+def best_noise(case: Case, config: Config, horizons: Sequence[float]) -> dict[str, list[Choice]]:
+    """Find the spectral density of the least error of each kinematic filter at each horizon [s].
 
-    def __init__(self, case: Case, config: Config, horizons: Sequence[float], motion: str) -> None:
+    It is found on the recording on which the methods are then compared, in favour of these two;
+    the error is that of the free nodes, by which they are compared.
+    """
+    found = {}
+    for name, motion, usual in (
+        ('kf_cv', 'constant_velocity', config.baseline.cv_noise),
+        ('kf_ca', 'constant_acceleration', config.baseline.ca_noise),
+    ):
+        search = _Search(case, config, horizons, motion, usual)
+        search.run()
+        runs = {
+            at: follow(Kinematic(config, motion, search.density(at)), case, horizons)
+            for at in set(search.at)
+        }
+        found[name] = [Choice(search.density(at), runs[at][i]) for i, at in enumerate(search.at)]
+    return found
+
+
+class _Search:
+    """Tries spectral densities of one kind of filter; `at` is the best of each horizon."""
+
+    def __init__(
+        self, case: Case, config: Config, horizons: Sequence[float], motion: str, usual: float
+    ) -> None:
         self._case, self._config, self._horizons, self._motion = case, config, horizons, motion
-        noise = config.baseline
-        self._usual = noise.cv_noise if motion == 'constant_velocity' else noise.ca_noise
-        self._tried: set[float] = set()
+        self._usual = usual
+        self._tried: list[float] = []
         self._least = [inf] * len(horizons)
-        self.at = [nan] * len(horizons)
-        self.runs: list[Run | None] = [None] * len(horizons)
+        self.at = [0.0] * len(horizons)
+        stamps = case.markers.stamps[case.ahead]
+        self._asked = [asked_at(stamps, horizon, case.reference) for horizon in horizons]
 
     def density(self, decades: float) -> float:
         """Spectral density, this many powers of ten above the configured one."""
         return float(self._usual * 10.0**decades)
 
-    def try_all(self, decades: Sequence[float]) -> None:
-        """Let a filter of each of these powers of ten follow the recording."""
-        for power in sorted(set(decades) - self._tried):
-            self._tried.add(power)
-            filter_ = Kinematic(self._config, self._motion, self.density(power))
-            for i, run in enumerate(follow(filter_, self._case, self._horizons)):
-                error = self._error(run, self._horizons[i])
-                if self.runs[i] is None or error < self._least[i]:
-                    self._least[i], self.at[i], self.runs[i] = error, power, run
+    def run(self) -> None:
+        """Try the usual ones, others while the best is the last of them, and some between."""
+        self._try(DECADES.tolist())
+        while beyond := self._beyond():
+            self._try(beyond)
+        for step in REFINED:
+            self._try([at + side * step for at in self.at for side in (-1, 1)])
 
-    def beyond(self) -> list[float]:
-        """Powers of ten beyond those tried, where the best so far is the last of them."""
+    def _beyond(self) -> list[float]:
         low, high = min(self._tried), max(self._tried)
         more = [low - 0.5] * (low in self.at) + [high + 0.5] * (high in self.at)
         return [power for power in more if abs(power) <= FARTHEST]
 
-    def _error(self, run: Run, horizon: float) -> float:
-        """RMS error [m] of the free nodes, which is what the methods are compared by."""
-        case, driven = self._case, list(self._config.anchors.nodes)
-        stamps = case.markers.stamps[case.ahead]
-        judged = judge(stamps, horizon, case.reference, {'it': run}, case.name)
-        return rms(np.delete(judged.answers['it'].errors, driven, axis=1))
+    def _try(self, decades: Sequence[float]) -> None:
+        chosen = sorted(set(decades) - set(self._tried))
+        self._tried += chosen
+        densities = np.array([self.density(power) for power in chosen])
+        for i, errors in enumerate(self._errors(densities)):
+            best = int(np.argmin(np.nan_to_num(errors, nan=inf)))
+            if errors[best] < self._least[i]:
+                self._least[i], self.at[i] = float(errors[best]), chosen[best]
 
+    def _errors(self, densities: FloatArray) -> FloatArray:
+        """Mean squares of the errors [m^2] of the free nodes, shape (horizons, densities)."""
+        case, markers = self._case, self._case.markers
+        filters = Kinematic(self._config, self._motion, densities)
+        total = np.zeros((len(self._horizons), len(densities)))
+        count = np.zeros(len(self._horizons))
+        rows = {int(k): row for row, k in enumerate(np.flatnonzero(case.ahead))}
+        for k, stamp in enumerate(markers.stamps.tolist()):
+            filters.step(stamp, *case.frame(k, associates=False))
+            for i, (actual, asked) in enumerate(self._asked):
+                if (row := rows.get(k)) is not None and asked[row].any():
+                    found = filters.predict(self._horizons[i]).position
+                    off = found.reshape(len(densities), -1, 3) - actual[row]
+                    counted = self._free(asked[row] & np.isfinite(off[0, :, 0]))
+                    total[i] += np.square(off[:, counted]).sum(axis=(1, 2))
+                    count[i] += counted.sum()
+        return np.divide(total, count[:, None], out=total * nan, where=count[:, None] > 0)
 
-def best_noise(case: Case, config: Config, horizons: Sequence[float]) -> dict[str, list[Choice]]:
-    """Find the spectral density of the least error of each kinematic filter at each horizon [s].
-
-    It is found on the recording on which the methods are then compared, in favour of these two.
-    """
-    found = {}
-    for name, motion in (('kf_cv', 'constant_velocity'), ('kf_ca', 'constant_acceleration')):
-        search = _Search(case, config, horizons, motion)
-        search.try_all(DECADES.tolist())
-        while more := search.beyond():
-            search.try_all(more)
-        for step in REFINED:
-            search.try_all([at + side * step for at in search.at for side in (-1, 1)])
-        found[name] = [
-            Choice(search.density(at), run)
-            for at, run in zip(search.at, search.runs, strict=True)
-            if run is not None
-        ]
-    return found
+    def _free(self, nodes: BoolArray) -> BoolArray:
+        free = nodes.copy()
+        free[list(self._config.anchors.nodes)] = False
+        return free

@@ -57,7 +57,7 @@ def _parser() -> argparse.ArgumentParser:
 
     def command(name: str, call: Callable[[argparse.Namespace], None], text: str) -> _Command:
         added = commands.add_parser(name, help=text, description=text)
-        added.set_defaults(call=call)
+        added.set_defaults(call=call, usage=added.error)
         return _Command(added)
 
     demo = command(
@@ -233,6 +233,8 @@ def _predict(options: argparse.Namespace) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
+    if options.burst and not options.drop:
+        options.usage('--burst needs --drop, the share that is hidden')
     gone, gone_for = options.gone
     worse = Degradation(
         options.drop,

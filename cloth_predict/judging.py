@@ -178,6 +178,17 @@ def _truth(case: Case) -> FloatArray | None:
     return np.where(known[..., None], positions, nan)
 
 
+def asked_at(
+    stamps: IntArray, horizon: float, reference: Reference
+) -> tuple[FloatArray, BoolArray]:
+    """What is to be predicted at `stamps` [ns]: positions [m], (frames, markers, 3), and which.
+
+    These are the markers that the reference shows `horizon` [s] later, after the warm-up.
+    """
+    actual, asked = at_times(reference.markers, stamps + round(horizon * NANOSECONDS))
+    return actual, asked & (stamps >= stamps[0] + WARM_UP * NANOSECONDS)[:, None]
+
+
 def judge(
     stamps: IntArray,
     horizon: float,
@@ -192,8 +203,7 @@ def judge(
     Raises FormatError naming the source where nothing is.
     """
     targets = stamps + round(horizon * NANOSECONDS)
-    actual, asked = at_times(reference.markers, targets)
-    asked &= (stamps >= stamps[0] + WARM_UP * NANOSECONDS)[:, None]
+    actual, asked = asked_at(stamps, horizon, reference)
     known = {name: np.isfinite(run.position).all(axis=-1) & asked for name, run in runs.items()}
     common, complete = _common(known)
     rows = np.asarray(common.any(axis=1), bool)

@@ -119,14 +119,19 @@ class _Frame(NamedTuple):
 
 
 class Kinematic:
-    """One kinematic Kalman filter per marker; a late frame is put where it belongs."""
+    """One kinematic Kalman filter per marker; a late frame is put where it belongs.
+
+    Of several spectral densities each has filters of its own, one density after the other.
+    """
 
     associates = False
     counts: Mapping[str, int] = {}
 
-    def __init__(self, config: Config, motion: str, density: float) -> None:
-        nodes, sigma = config.model.count, config.filter.measurement_noise
-        self._unseen = KinematicBank.unseen(motion, density, sigma, nodes)
+    def __init__(self, config: Config, motion: str, density: float | FloatArray) -> None:
+        self._copies = np.size(density)
+        densities = np.repeat(density, config.model.count)
+        sigma = config.filter.measurement_noise
+        self._unseen = KinematicBank.unseen(motion, densities, sigma, len(densities))
         self._memory = config.filter.max_backstep * NANOSECONDS
         self._frames: deque[_Frame] = deque()
 
@@ -138,6 +143,11 @@ class Kinematic:
         points: FloatArray = NO_POINTS,
     ) -> float:
         """Take a frame; nothing is learnt of one whose stamp was there before."""
+        if self._copies > 1:
+            positions, visible = (
+                np.tile(positions, (self._copies, 1)),
+                np.tile(visible, self._copies),
+            )
         later: list[_Frame] = []
         while self._frames and self._frames[-1].stamp > stamp:
             later.append(self._frames.pop())

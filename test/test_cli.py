@@ -259,6 +259,30 @@ def test_predict_tells_what_became_of_the_frames(
     assert len(read_clouds(tmp_path / 'x', 'cloth/prediction')) == 10
 
 
+def test_predict_leaves_out_what_is_too_uncertain(
+    run: Run, parameters: Parameters, tmp_path: Path
+) -> None:
+    positions = swaying()
+    positions[20:45] = np.nan  # half a second of nothing
+    write_recording(tmp_path / 'bag', Recording(sequence(positions)))
+    every = run_predict(run, tmp_path, small(parameters, horizon=0.06))
+    sigma = np.array([np.sqrt(np.mean(cloud['sigma'][3:] ** 2)) for cloud in every.values()])
+    limit = float(2 * np.median(sigma))
+    limits = {'sigma_warn': limit / 2, 'sigma_error': limit}
+    kept = run_predict(run, tmp_path, small(parameters, horizon=0.06, limits=limits))
+    assert 10 <= (sigma > limit).sum() <= 30  # what is hidden, but for the first moments
+    assert list(kept) == [stamp for stamp, one in zip(every, sigma, strict=True) if one <= limit]
+
+
+def run_predict(run: Run, folder: Path, config: Path) -> dict[int, Any]:
+    """Predict a bag and return the clouds by their stamp."""
+    out = run.well('predict', folder / 'bag', '-c', config, '-o', folder / 'x')
+    clouds = read_clouds(folder / 'x', 'cloth/prediction')
+    refused = re.findall(r'(\d+) frames unpredicted', out)
+    assert len(clouds) == FRAMES - sum(map(int, refused))
+    return {stamp: np.frombuffer(cloud.data, SURFACE) for stamp, cloud in clouds}
+
+
 # --- evaluate --------------------------------------------------------------------------------
 
 
@@ -377,6 +401,99 @@ def test_evaluate_writes_a_folder(
     before = load(folder / 'config.yaml')
     run.well('evaluate', bag, '-c', folder / 'config.yaml', '-o', folder, '--json')
     assert load(folder / 'config.yaml') == before
+
+
+def test_evaluate_several_recordings(
+    run: Run, bag: Path, parameters: Parameters, tmp_path: Path
+) -> None:
+    config, other, folder = small(parameters), tmp_path / 'other', tmp_path / 'out'
+    write_recording(other, Recording(sequence(swaying()[:, [0, 1, 2, 5, 4, 3]] * 1.5)))
+    arguments = ['evaluate', bag, other, '-c', config, '--horizon', 0.04, 0.1]
+    found = json.loads(run.well(*arguments, '--json'))
+    assert [(f['bag'], f['horizon_s'], f['frames']) for f in found] == [
+        (str(bag), 0.04, 14), (str(bag), 0.1, 11), (str(other), 0.04, 14), (str(other), 0.1, 11),
+        ('all', 0.04, 28), ('all', 0.1, 22),
+    ]  # fmt: skip
+    for name in ('hold', 'kf_cv', 'ekf'):
+        one, two, both = (found[k]['methods'][name]['rmse_mm'] for k in (1, 3, 5))
+        assert both == pytest.approx(np.sqrt((one**2 + two**2) / 2), rel=1e-9)  # a sum
+    alone = json.loads(run.well('evaluate', other, '-c', config, '--json'))
+    assert without_times({'bag': str(other), **alone}) == without_times(found[3])
+    lines = run.well('evaluate', bag, other, '-c', config, '-o', folder).splitlines()
+    assert {path.name for path in folder.iterdir()} >= {'bag', 'other', 'ladder.png'}
+    assert (folder / 'bag' / 'snapshots_100ms.png').exists()
+    assert not list(folder.glob('snapshots*'))  # of which recording?
+    written = json.loads((folder / 'evaluation.json').read_text())
+    assert [without_times(f) for f in written] == [without_times(found[k]) for k in (1, 3, 5)]
+    assert lines[0].startswith(f'{bag}: predicted 100 ms ahead')
+    assert [line for line in lines if line.startswith('all: predicted 100 ms ahead, 22 frames')]
+
+
+def test_evaluate_other_filters(run: Run, bag: Path, parameters: Parameters) -> None:
+    config = small(parameters)
+    arguments = ['evaluate', bag, '-c', config, '--json', '--filters', 'gomes2016', 'ekf']
+    found = json.loads(run.well(*arguments))['methods']
+    assert list(found) == ['hold', 'kf_cv', 'kf_ca', 'gomes2016', 'ekf']
+    plain = json.loads(run.well('evaluate', bag, '-c', config, '--json'))['methods']
+    for name in ('hold', 'kf_cv', 'kf_ca', 'ekf'):
+        assert {**found[name], 'us_per_frame': 0} == {**plain[name], 'us_per_frame': 0}
+    assert set(cli.FILTERS) > {'ekf', 'ukf', 'gomes2016'}
+    assert list(commands.Ladder(filters=('all',)).methods(load(config)))[3:] == list(cli.FILTERS)
+
+
+def test_evaluate_at_the_best_of_the_baselines(
+    run: Run, bag: Path, parameters: Parameters
+) -> None:
+    arguments = ['evaluate', bag, '-c', small(parameters)]
+    plain = json.loads(run.well(*arguments, '--json'))['methods']
+    best = json.loads(run.well(*arguments, '--best-baselines', '--json'))['methods']
+    lines = run.well(*arguments, '--best-baselines')
+    for name in ('kf_cv', 'kf_ca'):
+        assert best[name]['rmse_free_mm'] < plain[name]['rmse_free_mm']
+        assert f'{name}: best noise on this recording {best[name]["noise"]:.3g}\n' in lines
+    assert best['ekf']['rmse_mm'] == plain['ekf']['rmse_mm']
+
+
+def test_evaluate_what_is_made_worse(run: Run, bag: Path, parameters: Parameters) -> None:
+    config = small(parameters)
+    plain, *worse = (
+        json.loads(run.well('evaluate', bag, '-c', config, '--json', *more.split()))
+        for more in (
+            '',
+            '--drop 0.4',
+            '--drop 0.4 --burst 0.1',
+            '--gone 3 0.1',
+            '--swap 0.5',
+            '--gone 3 0.1 --seed 2',
+        )
+    )
+    hold = [found['methods']['hold']['rmse_free_mm'] for found in worse]
+    assert min(hold) > plain['methods']['hold']['rmse_free_mm']
+    assert len(set(hold)) == len(hold)
+    assert all(found['frames'] == plain['frames'] for found in worse)
+
+
+def test_markers_without_labels(
+    run: Run, bag: Path, parameters: Parameters, tmp_path: Path
+) -> None:
+    config = small(parameters)
+    bare = sequence(swaying(), tuple(f'Unlabeled {i}' for i in range(6)))
+    write_recording(tmp_path / 'bare', Recording(bare))
+    plain = json.loads(run.well('evaluate', bag, '-c', config, '--json'))
+    hidden = json.loads(run.well('evaluate', bag, '-c', config, '--json', '--unlabelled'))
+    found = json.loads(run.well('evaluate', tmp_path / 'bare', '-c', config, '--json'))
+    for name in ('hold', 'kf_cv', 'kf_ca', 'ekf'):
+        for numbers in (found, hidden):
+            # every marker is found, or a mirror image of them all
+            assert numbers['methods'][name]['predicted'] == 1.0
+            rmse = numbers['methods'][name]['rmse_free_mm']
+            assert rmse == pytest.approx(plain['methods'][name]['rmse_free_mm'], rel=1e-3)
+    out = run.well('predict', tmp_path / 'bare', '-c', config, '-o', tmp_path / 'x')
+    assert '65 frames updated' in out
+    copy = read_recording(tmp_path / 'x').markers
+    assert copy.labels[6:] == bare.labels
+    np.testing.assert_array_equal(copy.positions[:, 6:], np.float32(bare.positions))
+    assert not copy.visible[:, :6].any()
 
 
 def test_evaluate_compares_with_the_truth(
@@ -631,6 +748,14 @@ def test_a_name_too_long_for_any_file(run: Run, bag: Path, parameters: Parameter
         'evaluate x -c x --horizon 0.1 -0.1',
         'evaluate x -c x --horizon soon',
         'evaluate x -c x --yaml',
+        'evaluate -c x',
+        'evaluate x -c x --filters kalman',
+        'evaluate x -c x --drop 1.5',
+        'evaluate x -c x --burst 0.1',
+        'evaluate x -c x --gone 3',
+        'evaluate x -c x --gone 3 0',
+        'evaluate x -c x --gone -3 0.5',
+        'evaluate x -c x --swap no',
     ],
 )
 def test_wrong_usage(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str) -> None:

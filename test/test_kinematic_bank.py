@@ -1,0 +1,105 @@
+"""Many kinematic filters at once, against one filterpy filter for each marker; late frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cloth_predict.config import build
+from cloth_predict.filters.kinematic import ORDERS, KinematicTrack
+from cloth_predict.filters.kinematic_bank import KinematicBank
+from cloth_predict.predictors import BASELINES, Hold, Kinematic
+from cloth_predict.types import FloatArray
+
+SIGMA, DENSITY, MARKERS = 1e-3, 3.0, 5
+
+
+@pytest.mark.parametrize('motion', ORDERS)
+def test_bank_equals_one_track_for_each_marker(motion: str) -> None:
+    rng = np.random.default_rng(1)
+    bank = KinematicBank.unseen(motion, DENSITY, SIGMA, MARKERS)
+    tracks: dict[int, KinematicTrack] = {}
+    for _ in range(60):
+        dt, ahead = rng.uniform(0.002, 0.05), rng.uniform(0.0, 0.3)
+        positions = rng.normal(0.0, 0.1, (MARKERS, 3))
+        visible = rng.random(MARKERS) > 0.5
+        bank = bank.moved(dt)
+        nis = []
+        for marker, track in tracks.items():
+            track.predict(dt)
+            if visible[marker]:
+                residual = positions[marker] - track.extrapolate(0.0)[0]
+                nis += list(residual**2 / (track.variance(0.0) + SIGMA**2))
+                track.update(positions[marker])
+        for marker in np.flatnonzero(visible).tolist():
+            if marker not in tracks:
+                tracks[marker] = KinematicTrack(motion, DENSITY, SIGMA, positions[marker])
+        bank, found = bank.updated(positions, visible)
+        # 1e-12: the same numbers in another order of the sums
+        assert found == pytest.approx(np.mean(nis) if nis else np.nan, rel=1e-12, nan_ok=True)
+        position, variance = bank.ahead(ahead)
+        for marker in range(MARKERS):
+            if marker not in tracks:
+                assert np.isnan(position[marker]).all()
+                assert np.isnan(variance[marker])
+                continue
+            expected = tracks[marker].extrapolate(ahead)[0]
+            np.testing.assert_allclose(position[marker], expected, rtol=1e-12, atol=1e-13)
+            assert variance[marker] == pytest.approx(tracks[marker].variance(ahead), rel=1e-12)
+    assert len(tracks) == MARKERS
+
+
+def frames(count: int = 80) -> tuple[list[int], FloatArray, np.ndarray]:
+    rng = np.random.default_rng(2)
+    stamps = (np.arange(count) * 10_000_000 + rng.integers(-3_000_000, 3_000_000, count)).tolist()
+    return stamps, rng.normal(size=(count, MARKERS, 3)), rng.random((count, MARKERS)) > 0.3
+
+
+@pytest.mark.parametrize('name', BASELINES)
+def test_late_frames_change_nothing_in_the_end(name: str) -> None:
+    config = build({'model': {'rows': 1, 'cols': MARKERS}}, 'test')
+    stamps, positions, visible = frames()
+    order = np.arange(len(stamps))
+    for k in (3, 20, 21, 40, 60):  # each comes after the five that follow it, 50 ms late
+        order[k : k + 6] = np.roll(order[k : k + 6], -1)
+    late, punctual = BASELINES[name](config), BASELINES[name](config)
+    for k in order.tolist():
+        late.step(stamps[k], positions[k], visible[k], np.zeros((0, 3)))
+        late.step(stamps[k], positions[k] + 9.0, visible[k], np.zeros((0, 3)))  # there already
+    for k in range(len(stamps)):
+        punctual.step(stamps[k], positions[k], visible[k], np.zeros((0, 3)))
+    np.testing.assert_array_equal(late.predict(0.1).position, punctual.predict(0.1).position)
+    np.testing.assert_array_equal(late.predict(0.1).sigma, punctual.predict(0.1).sigma)
+    np.testing.assert_array_equal(late.estimate().covariance, punctual.estimate().covariance)
+
+
+def test_a_frame_before_all_others() -> None:
+    config = build({'model': {'rows': 1, 'cols': MARKERS}}, 'test')
+    stamps, positions, visible = frames(4)
+    late, punctual = (Kinematic(config, 'constant_velocity', DENSITY) for _ in range(2))
+    for k in (1, 2, 0, 3):
+        late.step(stamps[k], positions[k], visible[k])
+    for k in range(4):
+        punctual.step(stamps[k], positions[k], visible[k])
+    np.testing.assert_array_equal(late.predict(0.1).position, punctual.predict(0.1).position)
+
+
+def test_hold_keeps_the_newest_of_each_marker() -> None:
+    hold = Hold(build({'model': {'rows': 1, 'cols': 2}}, 'test'))
+    hold.step(20, np.full((2, 3), 2.0), np.array([True, False]))
+    hold.step(10, np.full((2, 3), 1.0), np.array([True, True]))
+    assert hold.predict(0.1).position[:, 0].tolist() == [2.0, 1.0]
+    assert hold.estimate().position[:, 0].tolist() == [2.0, 1.0]
+    assert np.isnan(hold.estimate().covariance).all()
+
+
+def test_several_densities_side_by_side() -> None:
+    config = build({'model': {'rows': 1, 'cols': MARKERS}}, 'test')
+    densities = np.array([0.01, 3.0, 100.0])
+    together = Kinematic(config, 'constant_acceleration', densities)
+    alone = [Kinematic(config, 'constant_acceleration', density) for density in densities]
+    for stamp, positions, visible in zip(*frames(), strict=True):
+        for filters in (together, *alone):
+            filters.step(stamp, positions, visible)
+    found = together.predict(0.1).position.reshape(3, MARKERS, 3)
+    np.testing.assert_array_equal(found, [filters.predict(0.1).position for filters in alone])
