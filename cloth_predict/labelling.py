@@ -30,17 +30,18 @@ def label(
     """
     if model.topology == 'grid':
         return _in_grid(model, positions, visible, points)
-    if model.topology == 'delaunay' and not visible.any() and len(points) == model.nodes:
-        return points, np.ones(model.nodes, bool)  # there is no other order
-    if model.topology == 'delaunay' and not visible.any():
+    if visible.any():
+        return positions, visible  # which of the others is a point, nothing tells
+    if model.topology == 'edges':
+        raise FrameError(
+            f'{len(points)} markers without labels for {model.name}: topology edges needs labels'
+        )
+    if len(points) != model.nodes:
         raise FrameError(
             f'{len(points)} markers without labels do not fit {model.name}: topology delaunay '
             f'takes them in the order in which they come'
         )
-    raise FrameError(
-        f'{model.count - visible.sum()} of {model.name} have no labelled marker, without which '
-        f'topology {model.topology} cannot tell them apart'
-    )
+    return points, np.ones(model.nodes, bool)
 
 
 def _in_grid(

@@ -96,6 +96,8 @@ def test_a_triangulation_waits_for_all_its_markers_by_label():
     visible = np.arange(8) < 2
     assert starter.offer(0, positions, visible, NONE) is None
     assert starter.reason == '2 of 8 nodes seen, waiting for nodes m2, m3, m4, m5, 2 more'
+    assert starter.offer(0, positions, visible, positions[2:]) is None  # nothing tells which
+    assert starter.reason == '2 of 8 nodes seen, waiting for nodes m2, m3, m4, m5, 2 more'
     start = starter.offer(1, positions, np.ones(8, bool), NONE)
     np.testing.assert_array_equal(start.topology.edges, delaunay(positions).edges)
     assert len(start.mesh.driven) == 0
@@ -309,8 +311,8 @@ def test_a_failed_search_is_not_repeated_at_once(towel, monkeypatch):
         (of_kind('mesh')[0], 13, '13 markers without labels do not fit 20 nodes: topology '
          'delaunay takes them in the order in which they come'),
         (settings({'topology': 'edges', 'nodes': 3, 'edges': [0, 1, 1, 2],
-                   'rest_length': 'measured'}), 3, '3 of 3 nodes have no labelled marker, without '
-         'which topology edges cannot tell them apart'),
+                   'rest_length': 'measured'}), 3, '3 markers without labels for 3 nodes: '
+         'topology edges needs labels'),
         (settings(), 4, '4 markers do not fit 3 x 3 = 9 nodes: 4 points are too few for 3 x 3 '
          'nodes'),
     ],
