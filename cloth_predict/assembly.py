@@ -122,7 +122,7 @@ def _smoothest(edges: IntArray, positions: FloatArray, visible: BoolArray) -> Fl
     laplacian = sparse.csgraph.laplacian(adjacency(len(positions), edges))
     neighbours = laplacian.diagonal()
     weight = np.where(neighbours > 1, 1.0, LOOSE_END) / neighbours
-    scaled = sparse.csr_array(sparse.diags_array(weight) @ laplacian)
+    scaled = sparse.csr_array(sparse.diags(weight) @ laplacian)
     free, held = scaled[:, np.flatnonzero(~visible)], scaled[:, np.flatnonzero(visible)]
     right = -(free.T @ (held @ positions[visible]))
     return np.asarray(spsolve(sparse.csc_array(free.T @ free), right)).reshape(-1, 3)

@@ -78,7 +78,8 @@ def delaunay(points: FloatArray) -> Topology:
     edges = np.unique(sides.reshape(-1, 2), axis=0)
     length = _lengths(points, edges)
     # the shortest tree through all points keeps what is left together
-    tree = minimum_spanning_tree(adjacency(len(points), edges, length)).toarray()
+    joined = adjacency(len(points), edges, length).toarray()
+    tree = minimum_spanning_tree(joined).toarray()  # SciPy 1.11 takes no 64-bit indices
     needed = (tree + tree.T)[edges[:, 0], edges[:, 1]] > 0
     kept = edges[(length <= LONGEST_EDGE * np.median(length)) | needed]
     number = np.full((len(points),) * 2, -1)
