@@ -30,7 +30,7 @@ class Calibration:
     def __init__(self, duration: float) -> None:
         self.duration = duration
         self.last = np.zeros((0, 3))
-        """Where each node is [m], shape (nodes, 3): hidden ones are carried along by the others."""
+        """Where each node is [m], shape (nodes, 3); hidden ones carried along by the others."""
         self._seen = np.zeros(0, np.int64)
         self._frames: deque[Frame] = deque()
         self._begin = 0
