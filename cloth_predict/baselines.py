@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import inf, nan
+from math import nan
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,9 @@ FARTHEST = 9.0
 """Powers of ten beyond which the search goes no farther."""
 REFINED = (0.25, 0.125)
 """Steps, in powers of ten, to both sides of the best so far."""
+ALIKE = 1e-4
+"""Share by which a larger error counts as the same: where more noise changes nothing any more, as
+of a filter that only takes differences, that nearest to the configured one is chosen."""
 
 
 class Choice(NamedTuple):
@@ -58,8 +61,7 @@ class _Search:
     ) -> None:
         self._case, self._config, self._horizons, self._motion = case, config, horizons, motion
         self._usual = usual
-        self._tried: list[float] = []
-        self._least = [inf] * len(horizons)
+        self._tried: dict[float, FloatArray] = {}
         self.at = [0.0] * len(horizons)
         stamps = case.markers.stamps[case.ahead]
         self._asked = [asked_at(stamps, horizon, case.reference) for horizon in horizons]
@@ -83,12 +85,14 @@ class _Search:
 
     def _try(self, decades: Sequence[float]) -> None:
         chosen = sorted(set(decades) - set(self._tried))
-        self._tried += chosen
-        densities = np.array([self.density(power) for power in chosen])
-        for i, errors in enumerate(self._errors(densities)):
-            best = int(np.argmin(np.nan_to_num(errors, nan=inf)))
-            if errors[best] < self._least[i]:
-                self._least[i], self.at[i] = float(errors[best]), chosen[best]
+        if not chosen:
+            return
+        errors = self._errors(np.array([self.density(power) for power in chosen]))
+        self._tried |= dict(zip(chosen, errors.T, strict=True))
+        nearest = sorted(self._tried, key=abs)
+        every = np.array([self._tried[power] for power in nearest])
+        good = every <= (1 + ALIKE) ** 2 * every.min(axis=0)
+        self.at = [nearest[k] for k in good.argmax(axis=0)]
 
     def _errors(self, densities: FloatArray) -> FloatArray:
         """Mean squares of the errors [m^2] of the free nodes, shape (horizons, densities)."""
