@@ -248,12 +248,24 @@ def test_points_that_do_not_fit_change_nothing():
     assert content(tracker.estimate()) == before
 
 
+def test_driven_nodes_without_labels_are_followed_as_with_them():
+    config = settings(anchors={'motion': 'constant_velocity', 'process_noise': 2.0})
+    stamps = (np.arange(40) * 10 * MS).tolist()
+    positions, rng = moving(config, stamps), np.random.default_rng(0)
+    positions += np.linspace(0, 0.2, 40)[:, None, None] * [1.0, 0.0, 0.0]  # 0.5 m/s
+    labelled, points = followed(config, stamps, positions), Tracker(config)
+    for k, stamp in enumerate(stamps):
+        points.step(stamp, *(unlabelled(positions[k], EVERY, rng) if k else (positions[k], EVERY)))
+    assert points.markers == Counter(matched=9 * 39)
+    assert content(points.predict(0.1)) == content(labelled.predict(0.1))
+
+
 # --- limits
 
 
 def test_a_towel_without_markers_is_no_longer_predicted(towel):  # noqa: F811
     markers, _, config = towel
-    tracker, sigma, levels = Tracker(config), [], []
+    tracker, sigma, levels, refused = Tracker(config), [], [], []
     for k in range(300):
         visible = markers.visible[k] & (k < 200)
         tracker.step(int(markers.stamps[k]), markers.positions[k], visible)
@@ -262,9 +274,8 @@ def test_a_towel_without_markers_is_no_longer_predicted(towel):  # noqa: F811
         try:
             sigma.append(np.sqrt(np.mean(tracker.predict(0.1).sigma[4:] ** 2)))
         except UncertainError as error:
-            message = str(error)
-            assert 'above limits.sigma_error of 0.05 m' in message
-            assert tracker.estimate().stamp == markers.stamps[k]  # it runs on all the same
+            refused.append((len(levels), str(error)))
+        assert tracker.estimate().stamp == markers.stamps[k]  # it runs on all the same
         levels.append(tracker.health().level)
     # 2.5 mm with all markers, 8 after 0.1 s, 28 after 0.3 s, 50 after 0.5 s, 80 after 1 s
     assert sigma[0] < 0.003
@@ -272,6 +283,9 @@ def test_a_towel_without_markers_is_no_longer_predicted(towel):  # noqa: F811
     assert levels[:2] == ['OK', 'WARN']  # no markers
     assert levels[-4:] == ['ERROR'] * 4
     assert 'ERROR' not in levels[:4]
+    assert [at for at, _ in refused] == [k for k, level in enumerate(levels) if level == 'ERROR']
+    assert all('above limits.sigma_error of 0.05 m' in text for _, text in refused)
+    assert max(sigma) < 0.05
     for k in range(300, 302):
         tracker.step(int(markers.stamps[k]), markers.positions[k], markers.visible[k])
     assert tracker.counts['lost'] == tracker.counts['restarted'] == 0
