@@ -8,7 +8,7 @@ from scipy.sparse.linalg import spsolve
 
 from cloth_predict import topology
 from cloth_predict.config import Config, ModelConfig
-from cloth_predict.models.disturbed import Disturbed, ForceProcess
+from cloth_predict.forces import force_variances
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import mesh_springs
 from cloth_predict.topology import Topology, adjacency
@@ -143,34 +143,6 @@ def aligned(shape: FloatArray, positions: FloatArray, visible: BoolArray) -> Flo
     return np.asarray((shape - from_mean) @ turn.T + to_mean)
 
 
-def force_process(config: Config) -> ForceProcess | None:
-    """Return how the unknown forces change, or None where there are none."""
-    kinds = {
-        'ornstein_uhlenbeck': ForceProcess.ornstein_uhlenbeck,
-        'matern': ForceProcess.matern,
-    }
-    make = kinds.get(config.force.kind)
-    return make(config.force.sigma, config.force.tau) if make else None
-
-
-def disturbed(config: Config, mesh: MassSpring) -> MassSpring | Disturbed:
-    """Add the unknown forces to the states where they are configured."""
-    process = force_process(config)
-    return mesh if process is None else Disturbed(mesh, process)
-
-
-def process_noise(config: Config, mesh: MassSpring) -> FloatArray:
-    """Spectral densities of the noise on each state, shape (dim_x,).
-
-    Unknown acceleration on the velocities, and what drives the unknown forces.
-    """
-    size, process = 3 * len(mesh.free), force_process(config)
-    densities = [np.zeros(size), np.full(size, config.filter.process_noise)]
-    if process is not None:
-        densities += [np.zeros(size)] * (len(process.drift) - 1) + [np.full(size, process.density)]
-    return np.concatenate(densities)
-
-
 def first_belief(
     config: Config, mesh: MassSpring, surface: FloatArray, spread: FloatArray
 ) -> Gaussian:
@@ -183,9 +155,7 @@ def first_belief(
         np.repeat(settings.measurement_noise + spread[mesh.free], 3) ** 2,
         np.full(size, settings.initial_velocity) ** 2,
     ]
-    if (process := force_process(config)) is not None:
-        variances += [np.full(size, variance) for variance in process.variance]
-    variance = np.concatenate(variances)
+    variance = np.concatenate([*variances, force_variances(config, mesh)])
     mean = np.zeros(len(variance))
     mean[:size] = surface[mesh.free].ravel()
     return Gaussian(mean, np.diag(variance))

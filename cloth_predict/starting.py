@@ -10,10 +10,8 @@ import numpy as np
 from cloth_predict.assembly import (
     build_mass_spring,
     complete,
-    disturbed,
     first_belief,
     lengths_of,
-    process_noise,
     topology_of,
 )
 from cloth_predict.calibration import Calibration, Frame, filled_in, median_lengths
@@ -21,6 +19,7 @@ from cloth_predict.config import Config
 from cloth_predict.driven import DrivenNodes
 from cloth_predict.errors import FrameError
 from cloth_predict.filters.family import build_filter
+from cloth_predict.forces import disturbed, process_noise
 from cloth_predict.labelling import follow, label
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
