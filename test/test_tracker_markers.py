@@ -11,6 +11,7 @@ from test_tracker import EVERY, MS, content, followed, moving, settings, towel  
 from cloth_predict.association import markers_of_nodes
 from cloth_predict.config import load
 from cloth_predict.errors import FrameError, UncertainError
+from cloth_predict.filters.linear import nearest_positive_definite
 from cloth_predict.formats.recording import read
 from cloth_predict.tracker import Tracker
 
@@ -309,6 +310,18 @@ def test_health_before_the_start_and_with_few_markers():
 
 
 # --- a covariance that is none
+
+
+def test_the_nearest_covariance_is_as_far_as_the_negative_eigenvalues():
+    vectors = np.linalg.qr(np.random.default_rng(0).normal(size=(5, 5)))[0]
+    cov = (vectors * [-0.3, -0.4, 0.0, 1.0, 2.0]) @ vectors.T
+    found = nearest_positive_definite(cov)
+    # Higham 1988, theorem 2.1: the root of 0.3^2 + 0.4^2; raised by 1e-12 of the largest one
+    assert np.linalg.norm(found - cov) == pytest.approx(0.5, abs=1e-11)
+    np.testing.assert_array_equal(found, found.T)
+    np.linalg.cholesky(found + 1e-15 * np.eye(5))  # rounding of the smallest
+    sound = vectors @ np.diag([1.0, 2, 3, 4, 5]) @ vectors.T
+    np.testing.assert_allclose(nearest_positive_definite(sound), sound, atol=1e-14)  # rounding
 
 
 def spoilt(tracker, values):

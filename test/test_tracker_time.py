@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from test_tracker import EVERY, MS, content, moving, settings
 
+from cloth_predict.filters.family import FILTERS
 from cloth_predict.tracker import Tracker
 
 REACH = 50
@@ -53,6 +54,18 @@ def test_a_late_frame_is_put_in_its_place(back, motion):
     assert found.taken
     np.testing.assert_array_equal(found.positions, expected[40].positions)
     np.testing.assert_array_equal(found.innovation.residual, expected[40].innovation.residual)
+
+
+@pytest.mark.parametrize('kind', FILTERS)
+def test_every_filter_can_be_gone_back_in(kind):
+    config = settings(filter={'kind': kind})
+    frames = recording(config, 16)
+    late, _ = run(config, [frames[k] for k in [*range(10), 12, 13, 10, 14, 11, 15]])
+    ordered, _ = run(config, frames)
+    assert (late.counts['updated'], late.counts['rewound']) == (13, 2)
+    assert late.counts['repaired'] == ordered.counts['repaired']  # gomes2016 needs it
+    assert content(late.estimate()) == content(ordered.estimate())
+    assert content(late.predict(0.05)) == content(ordered.predict(0.05))
 
 
 def test_frames_that_overtake_each_other_all_the_time():
