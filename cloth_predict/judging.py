@@ -198,8 +198,8 @@ def judge(
 ) -> Judged:
     """Compare what methods said after the frames at `stamps` [ns], which increase, with what was.
 
-    Counted is what the reference shows after the warm-up and every method predicted; a method that
-    predicted less than `FEWEST` is left out of this, and is counted where it predicted itself.
+    Counted is what the reference shows after the warm-up and every method predicted; of a method
+    that predicted less than `FEWEST`, which has no say in this, what it predicted of it.
     Raises FormatError naming the source where nothing is.
     """
     targets = stamps + round(horizon * NANOSECONDS)
@@ -213,14 +213,13 @@ def judge(
     interval = int(np.median(np.diff(stamps)))
     answers = {}
     for name, run in runs.items():
-        counted = common if name in complete else known[name]
         predicted = run.position[rows]
         answers[name] = Answers(
             predicted,
             run.sigma[rows],
             run.nis[rows],
             run.nees[rows],
-            np.where(counted[rows], distances(predicted, actual), nan),
+            np.where(common[rows], distances(predicted, actual), nan),
             int(known[name].sum()),
             name in complete,
             run.seconds,
