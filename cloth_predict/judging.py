@@ -1,20 +1,19 @@
-"""What methods said of a recording, and which of it is counted."""
+"""Which of what methods said of a recording is counted, and how wrong it was."""
 
 from __future__ import annotations
 
-import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from math import nan
 
 import numpy as np
 
 from cloth_predict.bootstrap import Part
-from cloth_predict.cases import Case, Reference
+from cloth_predict.cases import Reference
 from cloth_predict.errors import FormatError
-from cloth_predict.metrics import at_times, distances, normalised, speeds
-from cloth_predict.predictors import Predictor
+from cloth_predict.metrics import at_times, distances, speeds
+from cloth_predict.runs import Run
 from cloth_predict.tracker import NANOSECONDS
 from cloth_predict.types import BoolArray, FloatArray, IntArray
 
@@ -27,26 +26,6 @@ FEWEST = 0.95
 """Share of the predictions of the most complete method from which on a method is compared on the
 same frames and markers as the others. One that predicts less would take the hard ones away from
 them; it is judged by its own, and marked."""
-
-Progress = Callable[[int], None]
-
-
-@dataclass(frozen=True)
-class Run:
-    """What a method said of a whole recording, after each frame that is later than all before.
-
-    position [m], shape (frames, markers, 3); sigma [m], shape (frames, markers); nis, shape
-    (frames,), per degree of freedom; nees, shape (frames, markers), of the estimate by the truth,
-    per degree of freedom; NaN where unknown. seconds: what it took; counts: what became of the
-    frames, where the method tells.
-    """
-
-    position: FloatArray
-    sigma: FloatArray
-    nis: FloatArray
-    nees: FloatArray
-    seconds: float
-    counts: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -67,6 +46,23 @@ class Answers:
     complete: bool
     seconds: float
     counts: Counter[str]
+
+    @classmethod
+    def of(
+        cls, run: Run, rows: BoolArray, errors: FloatArray, known: int, complete: bool
+    ) -> Answers:
+        """Return what was said after the frames of `rows`, shape (frames,)."""
+        return cls(
+            run.position[rows],
+            run.sigma[rows],
+            run.nis[rows],
+            run.nees[rows],
+            errors,
+            known,
+            complete,
+            run.seconds,
+            Counter(run.counts),
+        )
 
     @classmethod
     def joined(cls, answers: Sequence[Answers]) -> Answers:
@@ -135,49 +131,6 @@ class Judged:
         )
 
 
-def follow(
-    predictor: Predictor,
-    case: Case,
-    horizons: Sequence[float],
-    progress: Progress = lambda frames: None,
-) -> list[Run]:
-    """Let a method follow the markers and predict after each frame; a run for each horizon."""
-    rows = {int(k): row for row, k in enumerate(np.flatnonzero(case.ahead))}
-    size, nodes = (len(horizons), len(rows)), case.markers.visible.shape[1]
-    position, sigma = np.empty((*size, nodes, 3)), np.empty((*size, nodes))
-    nis, nees = np.full(size[1], nan), np.full((size[1], nodes), nan)
-    truth, seconds = _truth(case), np.zeros(len(horizons))
-    for k, stamp in enumerate(case.markers.stamps.tolist()):
-        frame = case.frame(k, predictor.associates)
-        begin = time.perf_counter()
-        learnt = predictor.step(stamp, *frame)
-        seconds += time.perf_counter() - begin
-        progress(1)
-        if (row := rows.get(k)) is None:
-            continue
-        nis[row] = learnt
-        for i, horizon in enumerate(horizons):
-            begin = time.perf_counter()
-            position[i, row], sigma[i, row] = predictor.predict(horizon)
-            seconds[i] += time.perf_counter() - begin
-        if truth is not None:
-            now = predictor.estimate()
-            nees[row] = normalised(now.position - truth[k], now.covariance)
-    counts = Counter(predictor.counts)
-    return [
-        Run(position[i], sigma[i], nis, nees, float(seconds[i]), counts)
-        for i in range(len(horizons))
-    ]
-
-
-def _truth(case: Case) -> FloatArray | None:
-    """Return the true positions [m] at each frame, NaN where not known; None without the truth."""
-    if not case.reference.true:
-        return None
-    positions, known = at_times(case.reference.markers, case.markers.stamps)
-    return np.where(known[..., None], positions, nan)
-
-
 def asked_at(
     stamps: IntArray, horizon: float, reference: Reference
 ) -> tuple[FloatArray, BoolArray]:
@@ -213,18 +166,9 @@ def judge(
     interval = int(np.median(np.diff(stamps)))
     answers = {}
     for name, run in runs.items():
-        predicted = run.position[rows]
-        answers[name] = Answers(
-            predicted,
-            run.sigma[rows],
-            run.nis[rows],
-            run.nees[rows],
-            np.where(common[rows], distances(predicted, actual), nan),
-            int(known[name].sum()),
-            name in complete,
-            run.seconds,
-            Counter(run.counts),
-        )
+        wrong = np.where(common[rows], distances(run.position[rows], actual), nan)
+        count = int(known[name].sum())
+        answers[name] = Answers.of(run, rows, wrong, count, name in complete)
     return Judged(
         int(stamps[0]),
         targets,

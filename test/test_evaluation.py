@@ -16,7 +16,7 @@ from cloth_predict.config import Config, build
 from cloth_predict.errors import FormatError
 from cloth_predict.evaluation import Evaluation, evaluate, summed
 from cloth_predict.filters.linear import condition
-from cloth_predict.judging import Run, judge
+from cloth_predict.judging import judge
 from cloth_predict.metrics import (
     Score,
     SpeedBin,
@@ -30,6 +30,7 @@ from cloth_predict.metrics import (
     speeds,
 )
 from cloth_predict.predictors import METHODS, Estimated, Hold, Predicted
+from cloth_predict.runs import Run
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import BoolArray, FloatArray, Gaussian, IntArray, MarkerSequence
 

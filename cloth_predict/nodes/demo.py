@@ -26,10 +26,11 @@ from cloth_predict.evaluation import Evaluation, summed
 from cloth_predict.formats.bag import create_bag, read_clouds
 from cloth_predict.formats.pointcloud import decode, xyz
 from cloth_predict.formats.recording import read
-from cloth_predict.judging import Run, follow, judge
+from cloth_predict.judging import judge
 from cloth_predict.nodes._ros import spin
 from cloth_predict.nodes.recorder import Recorder
 from cloth_predict.predictors import Predicted, methods
+from cloth_predict.runs import Run, follow
 from cloth_predict.types import FloatArray, IntArray
 
 DISCOVERY = 20.0
