@@ -27,4 +27,4 @@ class FrameError(ClothPredictError):
 
 
 class UncertainError(FrameError):
-    """A prediction that would say nothing: too few markers were seen for too long."""
+    """A prediction that would say nothing, as after too few markers for too long."""

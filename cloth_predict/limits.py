@@ -30,7 +30,7 @@ def require_certain(sigma: float, limits: LimitsConfig) -> None:
     if not sigma <= limits.sigma_error:  # nor for NaN
         raise UncertainError(
             f'no prediction: its sigma of {sigma:.3g} m is above limits.sigma_error of '
-            f'{limits.sigma_error:g} m, too few markers were seen for too long'
+            f'{limits.sigma_error:g} m'
         )
 
 
