@@ -5,6 +5,7 @@ Each gives the step and the exact Jacobian of the step that it takes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -70,27 +71,40 @@ class RungeKutta:
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
     ) -> tuple[FloatArray, DenseTangent]:
         """State after dt [s] and its derivative as a map."""
-        state, inputs = np.eye(model.dim_x), np.zeros((model.dim_x, model.dim_u))
-        identity, at_end = np.eye(model.dim_u), _input_after_jac(model, u)
+        identity = np.eye(model.dim_x)
+        stages: list[tuple[FloatArray, FloatArray]] = []
         slopes: list[FloatArray] = []
-        by_state: list[FloatArray] = []
-        by_input: list[FloatArray] = []
+        slope_jacs: list[FloatArray] = []
         for row in self.tableau.a:
             stage = x + dt * _combine(row, slopes)
-            lag = dt * sum(row)
-            stage_u = model.input_after(u, lag)
+            stage_u = model.input_after(u, dt * sum(row))
+            stages.append((stage, stage_u))
             slopes.append(model.f(stage, stage_u))
-            jac, jac_input = model.jac(stage, stage_u), model.jac_input(stage, stage_u)
-            by_state.append(np.asarray(jac @ (state + dt * _combine(row, by_state))))
-            later = identity + lag * at_end
-            by_input.append(jac @ (inputs + dt * _combine(row, by_input)) + jac_input @ later)
-        end = self.tableau.b
-        after = np.asarray(x + dt * _combine(end, slopes))
-        step_jac = np.asarray(state + dt * _combine(end, by_state))
-        return after, DenseTangent(step_jac, np.asarray(dt * _combine(end, by_input)))
+            stage_jac = identity + dt * _combine(row, slope_jacs)
+            slope_jacs.append(np.asarray(model.jac(stage, stage_u) @ stage_jac))
+        after = np.asarray(x + dt * _combine(self.tableau.b, slopes))
+        step_jac = np.asarray(identity + dt * _combine(self.tableau.b, slope_jacs))
+        return after, DenseTangent(step_jac, lambda: self._input_jac(model, u, dt, stages))
+
+    def _input_jac(
+        self,
+        model: Dynamics,
+        u: FloatArray,
+        dt: float,
+        stages: list[tuple[FloatArray, FloatArray]],
+    ) -> FloatArray:
+        """Derivative of the step by the input, by the chain rule through the stages."""
+        rate, slope_jacs = _input_rate(model, u), []
+        for row, (stage, stage_u) in zip(self.tableau.a, stages, strict=True):
+            later = np.eye(model.dim_u) + dt * sum(row) * rate
+            own = model.jac_input(stage, stage_u) @ later
+            if slope_jacs:
+                own = own + model.jac(stage, stage_u) @ (dt * _combine(row, slope_jacs))
+            slope_jacs.append(np.asarray(own))
+        return np.asarray(dt * _combine(self.tableau.b, slope_jacs))
 
 
-def _input_after_jac(model: Dynamics, u: FloatArray) -> FloatArray:
+def _input_rate(model: Dynamics, u: FloatArray) -> FloatArray:
     """Rate of change of the input by the input itself, (dim_u, dim_u): it is linear in time."""
     columns = [model.input_after(unit, 1.0) - unit for unit in np.eye(model.dim_u)]
     return np.array(columns).reshape(model.dim_u, model.dim_u).T
@@ -146,10 +160,10 @@ class ImplicitEuler:
 
 @dataclass(frozen=True)
 class DenseTangent:
-    """A derivative given as matrices, by the state and by the inputs if any; see `Tangent`."""
+    """A derivative given as a matrix, and a way to that by the inputs if any; see `Tangent`."""
 
     step_jac: FloatArray
-    input_jac: FloatArray | None = None
+    input_jac: Callable[[], FloatArray] | None = None
 
     def push(self, columns: FloatArray) -> FloatArray:
         """Return F C."""
@@ -163,7 +177,7 @@ class DenseTangent:
         """Change of the state after the step with its inputs."""
         if self.input_jac is None:
             raise ValueError('the derivative by the inputs was not given')
-        return self.input_jac @ inputs
+        return self.input_jac() @ inputs
 
 
 INTEGRATORS: dict[str, Integrator] = {

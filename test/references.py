@@ -9,8 +9,10 @@ import numpy as np
 from scipy import sparse
 
 from cloth_predict.integrators import DenseTangent
+from cloth_predict.models.air import Air
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs, grid_pairs
+from cloth_predict.topology import grid_triangles
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 
@@ -164,7 +166,7 @@ class LinearAt:
 
     def tangent(self, dt, solver, change):
         one = np.eye(len(self.A))
-        return DenseTangent(one + solver(dt * self.A), np.zeros((len(one), 0)))
+        return DenseTangent(one + solver(dt * self.A))
 
 
 def damped_oscillators(rng, count):
@@ -187,7 +189,7 @@ def lengths(pairs, position):
     return np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
 
 
-def random_surface(rng, rows, cols, driven=(), rest=(0.7, 1.3), compression=1.0):
+def random_surface(rng, rows, cols, driven=(), rest=(0.7, 1.3), compression=1.0, air=False):
     """Mesh whose springs, masses and gravity all differ, and a state and input far from rest.
 
     `rest`: range of the rest lengths, relative to the lengths in the state.
@@ -203,10 +205,15 @@ def random_surface(rng, rows, cols, driven=(), rest=(0.7, 1.3), compression=1.0)
         compression,
     )
     mass = rng.uniform(0.01, 0.03, rows * cols)
-    model = MassSpring(springs, mass, driven, rng.normal(0, 5, 3))
+    windy = (
+        Air(grid_triangles(rows, cols), rng.uniform(0.2, 1.0, rows * cols), 0.3) if air else None
+    )
+    model = MassSpring(springs, mass, driven, rng.normal(0, 5, 3), windy)
     x = np.concatenate([position[model.free].ravel(), velocity[model.free].ravel()])
     force = rng.normal(0, 0.2, (len(model.free), 3))
     u = model.input(position[model.driven], velocity[model.driven], force)
+    if air:
+        u[-len(model.free) - 3 :] = rng.normal(0, 0.3, len(model.free) + 3)
     return model, x, u
 
 

@@ -44,7 +44,7 @@ def test_jacobian_equals_central_differences(example):
 def test_step_is_that_of_model_and_forces_together(example, kind):
     model, x, u = example
     model = Disturbed(model.model, getattr(ForceProcess, kind)(0.2, TAU))
-    inner, dt, drift = model.model, 0.01, model.process.drift
+    inner, dt, drift = model.model, 0.01, model.unknown[0].process.drift
     rng = np.random.default_rng(2)
     x = np.append(x[:60], rng.normal(0, 0.2, 30 * len(drift)))
     u[6:12] = 0.0  # the driven nodes stand still; that they move is tested with the derivative

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from cloth_predict.integrators import EULER, INTEGRATORS, RK4, ImplicitEuler, RungeKutta, Tableau
-from cloth_predict.models.disturbed import Disturbed
+from cloth_predict.models.disturbed import Disturbed, ForceProcess, Unknown
 
 ORDERS = {'euler': 1, 'rk4': 4, 'implicit_euler': 1}
 NO_INPUT = np.zeros(0)
@@ -92,18 +92,26 @@ def test_implicit_euler_on_a_linear_model_is_the_backward_step():
     np.testing.assert_allclose(step_jac, backward, atol=1e-14)  # rounding
 
 
-@pytest.mark.parametrize('disturbed', [False, True])
+@pytest.mark.parametrize('disturbed', [False, True, 'air'])
 @pytest.mark.parametrize('rest', [(0.6, 0.95), (1.05, 1.6), (0.6, 1.6)])
 @pytest.mark.parametrize('name', INTEGRATORS)
 def test_jacobian_of_the_step_equals_central_differences(name, rest, disturbed):
     rng = np.random.default_rng(5)
-    model, x, u = random_surface(rng, 3, 4, (0, 3), rest)
+    model, x, u = random_surface(rng, 3, 4, (0, 3), rest, air=disturbed == 'air')
     # away from the kink of the clamp at l = r, where a step of 1e-7 m must not change the side
     position, _ = model.surface(x, u)
     i, j = model.springs.pairs.T
     length = np.linalg.norm(position[i] - position[j], axis=1)
     assert np.abs(length - model.springs.rest_length).min() > 1e-4
-    if disturbed:
+    if disturbed == 'air':  # gusts that are correlated, a common wind, and forces at some nodes
+        model = Disturbed(
+            model,
+            Unknown(ForceProcess.matern(0.1, 0.3), slice(30, 40), 4, rng.normal(size=(10, 4))),
+            Unknown(ForceProcess.ornstein_uhlenbeck(0.1, 1.0), slice(40, 43), 3),
+            Unknown(ForceProcess.matern(0.1, 0.2), slice(0, 30), 6, rng.normal(size=(30, 6))),
+        )
+        x = np.append(x, rng.normal(0, 0.2, 23))
+    elif disturbed:
         model = Disturbed(model, 0.3)
         x = np.append(x, rng.normal(0, 0.2, 30))
     method, dt = INTEGRATORS[name], 0.01 if name == 'implicit_euler' else 0.003

@@ -22,8 +22,11 @@ class BlockStructure:
     A block (a, b) is the change of the force on free node a with the motion of free node b.
     """
 
-    def __init__(self, pairs: IntArray, free: IntArray, nodes: int) -> None:
-        """Number the blocks of springs `pairs`, shape (springs, 2), between the free nodes."""
+    def __init__(self, pairs: IntArray, free: IntArray, nodes: int, triangles: IntArray) -> None:
+        """Number the blocks of springs `pairs`, shape (springs, 2), between the free nodes.
+
+        triangles, shape (t, 3): nodes that act on each other beside the springs.
+        """
         number = np.full(nodes, -1)
         number[free] = np.arange(len(free))
         i, j = number[pairs[:, 0]], number[pairs[:, 1]]
@@ -38,15 +41,23 @@ class BlockStructure:
         """Adds the springs' forces up at the free nodes: + at the first end, - at the second."""
         # dF/dp of a spring is -B for the node's own motion and +B for that of its neighbour
         both = (i >= 0) & (j >= 0)
-        a = np.concatenate([np.arange(len(free)), ends, i[both], j[both]])
-        b = np.concatenate([np.arange(len(free)), ends, j[both], i[both]])
+        corner = number[triangles]
+        inside = (corner[:, :, None] >= 0) & (corner[:, None] >= 0)
+        of, by = (
+            np.broadcast_to(c, inside.shape)[inside] for c in (corner[:, :, None], corner[:, None])
+        )
+        a = np.concatenate([np.arange(len(free)), ends, i[both], j[both], of])
+        b = np.concatenate([np.arange(len(free)), ends, j[both], i[both], by])
         keys, block = np.unique(a * len(free) + b, return_inverse=True)
         source = np.concatenate([spring, each[both], each[both]])
         weight = np.repeat([-1.0, 1.0], [len(ends), 2 * both.sum()])
-        scatter = sparse.csr_array(
-            (weight, (block[len(free) :], source)), shape=(len(keys), len(pairs))
-        )
+        block, of_triangles = np.split(block[len(free) :], [len(source)])
+        scatter = sparse.csr_array((weight, (block, source)), shape=(len(keys), len(pairs)))
         self._scatter = scatter.toarray() if self.dense else scatter
+        self._of_triangles = sparse.csr_array(
+            (np.ones(len(of_triangles)), (of_triangles, np.flatnonzero(inside))),
+            shape=(len(keys), inside.size),
+        )
         self.a, self.b = keys // len(free), keys % len(free)
         self._indptr = np.searchsorted(self.a, np.arange(len(free) + 1))
         self._row, self._col = _scalars(self.a, self.b)
@@ -57,6 +68,16 @@ class BlockStructure:
     def gather(self, springs: FloatArray) -> FloatArray:
         """Blocks, shape (blocks, m), from values of the springs, shape (springs, m)."""
         return np.asarray(self._scatter @ springs)
+
+    def of_triangles(self, values: FloatArray) -> FloatArray:
+        """Blocks from those of corner a by corner b of each triangle, shape (t, 3, 3, 9)."""
+        return np.asarray(self._of_triangles @ values.reshape(-1, 9))
+
+    def on_diagonal(self, values: FloatArray) -> FloatArray:
+        """Blocks of a block diagonal matrix, from one block per free node, shape (free, 9)."""
+        blocks = np.zeros((len(self.a), 9))
+        blocks[self.a == self.b] = values
+        return blocks
 
     def diagonal(self, values: FloatArray) -> FloatArray:
         """Blocks of a diagonal matrix with one value per free node."""

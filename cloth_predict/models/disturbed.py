@@ -17,33 +17,36 @@ from cloth_predict.types import (
 )
 
 
-class ForcedTangent(Tangent, Protocol):
-    """Derivative of a step on which forces [N], held over the step, act as well."""
+class LoadedTangent(Tangent, Protocol):
+    """Derivative of a step over which a load is held."""
 
-    def push(self, columns: FloatArray, force: FloatArray | float = 0.0) -> FloatArray:
-        """Return F C, for changes of the forces, shape (forces, m), as well."""
+    def push(self, columns: FloatArray, load: FloatArray | None = None) -> FloatArray:
+        """Return F C, for changes of the load, shape (dim_load, m), as well."""
 
-    def pull_force(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return W F and the derivative of W x by the forces, shape (m, forces)."""
+    def pull_load(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return W F and the derivative of W x by the load, shape (m, dim_load)."""
 
 
-class ForcedLinearised(Linearised, Protocol):
-    """A model at one state under forces [N], shape (forces,), besides its input."""
+class LoadedLinearised(Linearised, Protocol):
+    """A model at one state under a load, shape (dim_load,), besides that of its input."""
 
-    def change(self, dt: float, solver: Solver, force: FloatArray | float = 0.0) -> FloatArray:
+    def change(self, dt: float, solver: Solver, load: FloatArray | float = 0.0) -> FloatArray:
         """Change of the state in a step of dt [s], shape (dim_x,)."""
 
-    def tangent(self, dt: float, solver: Solver, change: FloatArray) -> ForcedTangent:
+    def tangent(
+        self, dt: float, solver: Solver, change: FloatArray, load: FloatArray | float = 0.0
+    ) -> LoadedTangent:
         """Derivative of the step that makes this change."""
 
 
-class Forced(StiffDynamics, Protocol):
-    """Motion on which forces act linearly."""
+class Loaded(StiffDynamics, Protocol):
+    """Motion whose last inputs are a load: forces, which act linearly."""
 
-    def jac_force(self) -> sparse.csr_array:
-        """Derivative of f with respect to the forces, shape (dim_x, forces); constant."""
+    @property
+    def dim_load(self) -> int:
+        """Number of inputs that act as forces; they come last."""
 
-    def linearise(self, x: FloatArray, u: FloatArray) -> ForcedLinearised:
+    def linearise(self, x: FloatArray, u: FloatArray) -> LoadedLinearised:
         """Return the model at (x, u)."""
 
 
@@ -74,23 +77,56 @@ class ForceProcess:
         return cls(drift, 4 * sigma**2 / tau**3, np.array([sigma**2, (sigma / tau) ** 2]))
 
 
-class Disturbed:
-    """Any model with its unknown forces as states: x = [x_model; forces; their rates, if any]."""
+@dataclass(frozen=True)
+class Unknown:
+    """A part of the load that is not known: load[at] = mix y, each y a process of its own.
 
-    def __init__(self, model: Forced, process: ForceProcess | float) -> None:
-        """Wrap a model; a number stands for an Ornstein-Uhlenbeck process with that tau [s]."""
-        if isinstance(process, (int, float)):
-            if process <= 0:
-                raise ValueError('tau must be positive')
-            process = ForceProcess.ornstein_uhlenbeck(1.0, process)
-        self.model, self.process = model, process
-        self.gain = model.jac_force()
-        self.forces = int(self.gain.shape[1])
+    mix, shape (len(at), count), correlates and spreads the y; without it each y is one load.
+    """
+
+    process: ForceProcess
+    at: slice
+    count: int
+    mix: FloatArray | None = None
+
+    @property
+    def order(self) -> int:
+        """Number of states for each y: itself, and its rates."""
+        return len(self.process.drift)
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return self.order * self.count
+
+    def decay(self, dt: float) -> FloatArray:
+        """Implicit step (I - dt drift)^-1 of one y and its rates, shape (order, order)."""
+        return np.asarray(np.linalg.inv(np.eye(self.order) - dt * self.process.drift))
+
+
+class Disturbed:
+    """Any model with what is unknown of its load as states.
+
+    x = [x_model; for each unknown part: its values y, then their rates, if any].
+    """
+
+    def __init__(self, model: Loaded, *unknown: Unknown | ForceProcess | float) -> None:
+        """Wrap a model.
+
+        A process stands for one on each load, a number for an Ornstein-Uhlenbeck process with
+        that tau [s].
+        """
+        self.model = model
+        self.unknown = tuple(self._part(part) for part in unknown)
+        ends = np.cumsum([model.dim_x, *(part.size for part in self.unknown)]).tolist()
+        self.states = [slice(*ends[k : k + 2]) for k in range(len(self.unknown))]
+        """Where the states of each unknown part are."""
+        self._dim_x = int(ends[-1])
 
     @property
     def dim_x(self) -> int:
-        """States of the model, and of the force process for each force."""
-        return self.model.dim_x + len(self.process.drift) * self.forces
+        """States of the model, and of the unknown parts."""
+        return self._dim_x
 
     @property
     def dim_u(self) -> int:
@@ -99,23 +135,33 @@ class Disturbed:
 
     def f(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Time derivative of the state, shape (dim_x,)."""
-        inner, process = np.split(x, [self.model.dim_x])
-        pushed = self.model.f(inner, u) + self.gain @ process[: self.forces]
-        return np.concatenate([pushed, self.drift(process)])
+        inner = self.model.f(x[: self.model.dim_x], self._under(x, u))
+        drifts = [
+            each(part.process.drift, x[at])
+            for part, at in zip(self.unknown, self.states, strict=True)
+        ]
+        return np.concatenate([inner, *drifts])
 
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f with respect to x, shape (dim_x, dim_x)."""
-        order = len(self.process.drift)
-        rates = sparse.csr_array((self.gain.shape[0], (order - 1) * self.forces))
-        gain = sparse.hstack([self.gain, rates])
-        drift = sparse.kron(self.process.drift, sparse.eye(self.forces))
-        inner = self.model.jac(x[: self.model.dim_x], u)
-        return sparse.csr_array(sparse.bmat([[inner, gain], [None, drift]]))
+        inner, under = x[: self.model.dim_x], self._under(x, u)
+        by_load = self.model.jac_input(inner, under)[:, self.dim_u - self.model.dim_load :]
+        gains, drifts = [], []
+        for part in self.unknown:
+            gain = by_load[:, part.at]
+            gains.append(gain if part.mix is None else gain @ sparse.csr_array(part.mix))
+            gains.append(sparse.csr_array((len(inner), part.size - part.count)))
+            drifts.append(sparse.kron(part.process.drift, sparse.eye(part.count)))
+        first = sparse.hstack([self.model.jac(inner, under), *gains])
+        last = sparse.hstack(
+            [sparse.csr_array((self.dim_x - len(inner), len(inner))), sparse.block_diag(drifts)]
+        )
+        return sparse.csr_array(sparse.vstack([first, last]))
 
     def jac_input(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f with respect to u, shape (dim_x, dim_u): that of the model."""
-        inner = self.model.jac_input(x[: self.model.dim_x], u)
-        still = sparse.csr_array((len(self.process.drift) * self.forces, self.dim_u))
+        inner = self.model.jac_input(x[: self.model.dim_x], self._under(x, u))
+        still = sparse.csr_array((self.dim_x - self.model.dim_x, self.dim_u))
         return sparse.csr_array(sparse.vstack([inner, still]))
 
     def input_after(self, u: FloatArray, dt: float) -> FloatArray:
@@ -123,78 +169,119 @@ class Disturbed:
         return self.model.input_after(u, dt)
 
     def linearise(self, x: FloatArray, u: FloatArray) -> _Linearised:
-        """Return the model and its forces at (x, u)."""
-        inner, process = np.split(x, [self.model.dim_x])
-        return _Linearised(self, self.model.linearise(inner, u), process)
+        """Return the model and its load at (x, u)."""
+        inner = self.model.linearise(x[: self.model.dim_x], u)
+        return _Linearised(self, inner, x)
 
-    def drift(self, process: FloatArray) -> FloatArray:
-        """Time derivative of the forces and their rates, shape (order * forces,)."""
-        return each(self.process.drift, process)
+    def load(self, x: FloatArray) -> FloatArray:
+        """Unknown load, shape (dim_load,) of (dim_x,), or with m columns."""
+        if self._alone:
+            return x[self.states[0]][: self.model.dim_load]
+        load = np.zeros((self.model.dim_load, *x.shape[1:]))
+        for part, at in zip(self.unknown, self.states, strict=True):
+            values = x[at][: part.count]
+            load[part.at] += values if part.mix is None else part.mix @ values
+        return load
 
-    def decay(self, dt: float) -> FloatArray:
-        """Implicit step (I - dt drift)^-1 of one force and its rates, shape (order, order)."""
-        drift = self.process.drift
-        return np.asarray(np.linalg.inv(np.eye(len(drift)) - dt * drift))
+    def stepped(self, x: FloatArray, dt: float, back: bool = False) -> FloatArray:
+        """State whose unknown parts have made an implicit step; or its transpose, applied."""
+        after = x.copy()
+        for part, at in zip(self.unknown, self.states, strict=True):
+            decay = part.decay(dt)
+            after[at] = each(decay.T if back else decay, x[at])
+        return after
+
+    def unload(self, columns: FloatArray, by_load: FloatArray) -> None:
+        """Add to columns, shape (dim_x, m), what the load's values owe to by_load, (dim_load, m).
+
+        The transpose of `load`.
+        """
+        for part, at in zip(self.unknown, self.states, strict=True):
+            own = by_load[part.at]
+            columns[at][: part.count] += own if part.mix is None else part.mix.T @ own
+
+    @property
+    def _alone(self) -> bool:
+        """Whether one part, without a mix, is the whole load."""
+        first = self.unknown[0]
+        return len(self.unknown) == 1 and first.mix is None and first.count == self.model.dim_load
+
+    def _under(self, x: FloatArray, u: FloatArray) -> FloatArray:
+        under = u.copy()
+        under[self.dim_u - self.model.dim_load :] += self.load(x)
+        return under
+
+    def _part(self, part: Unknown | ForceProcess | float) -> Unknown:
+        if isinstance(part, Unknown):
+            return part
+        if isinstance(part, (int, float)):
+            if part <= 0:
+                raise ValueError('tau must be positive')
+            part = ForceProcess.ornstein_uhlenbeck(1.0, part)
+        return Unknown(part, slice(None), self.model.dim_load)
 
 
 @dataclass(frozen=True)
 class _Linearised:
-    """A disturbed model at one state: a force decays within a step and then acts on the model.
+    """A disturbed model at one state: the load changes within a step and then acts on the model.
 
-    That is the implicit step of both together, as no force depends on the model. See
+    That is the implicit step of both together, as no unknown depends on the model. See
     `types.Linearised`.
     """
 
     model: Disturbed
-    inner: ForcedLinearised
-    process: FloatArray
+    inner: LoadedLinearised
+    x: FloatArray
 
     def solver(self, dt: float) -> Solver:
         """Solver of the model's own step."""
         return self.inner.solver(dt)
 
     def change(self, dt: float, solver: Solver) -> FloatArray:
-        """Change of the model under the forces, and of the forces."""
-        after = each(self.model.decay(dt), self.process)
-        moved = self.inner.change(dt, solver, after[: self.model.forces])
-        return np.concatenate([moved, after - self.process])
+        """Change of the model under the load, and of the load."""
+        after = self.model.stepped(self.x, dt)
+        change = after - self.x
+        size = self.model.model.dim_x
+        change[:size] = self.inner.change(dt, solver, self.model.load(after))
+        return change
 
     def tangent(self, dt: float, solver: Solver, change: FloatArray) -> _Tangent:
         """Derivative of the step."""
-        model = self.model
-        inner = self.inner.tangent(dt, solver, change[: model.model.dim_x])
-        return _Tangent(inner, model.decay(dt), model.model.dim_x, model.forces)
+        load = self.model.load(self.x + change)
+        inner = self.inner.tangent(dt, solver, change[: self.model.model.dim_x], load)
+        return _Tangent(self.model, inner, dt)
 
 
 @dataclass(frozen=True)
 class _Tangent:
     """Derivative of the step of a disturbed model; see `types.Tangent`."""
 
-    inner: ForcedTangent
-    decay: FloatArray
-    size: int
-    forces: int
+    model: Disturbed
+    inner: LoadedTangent
+    dt: float
 
     def push(self, columns: FloatArray) -> FloatArray:
         """Return F C."""
-        process = each(self.decay, columns[self.size :])
-        inner = self.inner.push(columns[: self.size], process[: self.forces])
-        return np.concatenate([inner, process])
+        size, after = self.model.model.dim_x, self.model.stepped(columns, self.dt)
+        after[:size] = self.inner.push(columns[:size], self.model.load(after))
+        return after
 
     def pull(self, rows: FloatArray) -> FloatArray:
         """Return W F."""
-        inner, force = self.inner.pull_force(rows[:, : self.size])
-        process = rows[:, self.size :].T.copy()
-        process[: self.forces] += force.T
-        return np.concatenate([inner, each(self.decay.T, process).T], axis=1)
+        size, columns = self.model.model.dim_x, rows.T.copy()
+        inner, by_load = self.inner.pull_load(rows[:, :size])
+        self.model.unload(columns, by_load.T)
+        columns = self.model.stepped(columns, self.dt, back=True)
+        columns[:size] = inner.T
+        return columns.T
 
     def drive(self, inputs: FloatArray) -> FloatArray:
-        """Change of the state after the step with its inputs, on which no force depends."""
+        """Change of the state after the step with its inputs, on which no unknown depends."""
         inner = self.inner.drive(inputs)
-        still = np.zeros((len(self.decay) * self.forces, inputs.shape[1]))
+        still = np.zeros((self.model.dim_x - len(inner), inputs.shape[1]))
         return np.concatenate([inner, still])
 
 
 def each(matrix: FloatArray, process: FloatArray) -> FloatArray:
-    """Apply a matrix of shape (order, order) to each force and its rates, (order forces, ...)."""
+    """Apply a matrix of shape (order, order) to each y and its rates, (order count, ...)."""
     return np.asarray(matrix @ process.reshape(len(matrix), -1)).reshape(process.shape)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from cloth_predict.models.air import Air, Normals
 from cloth_predict.models.blocks import BlockStructure
 from cloth_predict.models.springs import Springs
 from cloth_predict.types import FloatArray, IntArray, Solver
@@ -24,8 +25,9 @@ class MassSpring:
     """Point masses joined by springs and dampers; some nodes may be driven.
 
     State `x = [p; v]` of the free nodes, shape (6 free,). Input `u`: positions and velocities of
-    the driven nodes, then an external force [N] on each free node, shape (6 driven + 3 free,);
-    `input` packs it. The sparsity is built once; each call computes values only.
+    the driven nodes, shape (6 driven,), then the load: an external force [N] on each free node,
+    shape (3 free,), and, in moving air, the gust at each free node and the common wind [N], shape
+    (free + 3,); `input` packs it. The sparsity is built once; each call computes values only.
     """
 
     def __init__(
@@ -34,15 +36,18 @@ class MassSpring:
         mass: FloatArray,
         driven: IntArray | Sequence[int] = (),
         gravity: FloatArray | Sequence[float] = GRAVITY,
+        air: Air | None = None,
     ) -> None:
         """Build the structure.
 
         mass [kg], shape (nodes,); driven, indices of the nodes that the input moves;
-        gravity [m/s^2], shape (3,). Raises ValueError for values outside their range.
+        gravity [m/s^2], shape (3,); air around it, if that matters. Raises ValueError for values
+        outside their range.
         """
         self.springs = springs
         self.mass = np.asarray(mass, float)
         self.gravity = np.asarray(gravity, float)
+        self.air = air
         self.nodes = len(self.mass)
         self.driven = np.unique(np.asarray(driven, np.int64))
         self._check()
@@ -53,7 +58,8 @@ class MassSpring:
         self._mass3 = np.repeat(self.mass[self.free], 3)
         self._weight = np.outer(self.mass[self.free], self.gravity).ravel()
         self._driven_ends = self._ends_of_driven()
-        self._blocks = BlockStructure(springs.pairs, self.free, self.nodes)
+        triangles = np.zeros((0, 3), np.int64) if air is None else air.triangles
+        self._blocks = BlockStructure(springs.pairs, self.free, self.nodes, triangles)
         self._mass_blocks = self._blocks.diagonal(self.mass[self.free])
         damping = self._blocks.gather(springs.damping[:, None]) * np.eye(3).ravel()
         self._damping_blocks = damping
@@ -66,8 +72,13 @@ class MassSpring:
 
     @property
     def dim_u(self) -> int:
-        """Number of inputs, 6 per driven node and 3 per free node."""
-        return 6 * len(self.driven) + 3 * len(self.free)
+        """Number of inputs: 6 per driven node, and the load."""
+        return 6 * len(self.driven) + self.dim_load
+
+    @property
+    def dim_load(self) -> int:
+        """Number of inputs that act as forces; they come last."""
+        return 3 * len(self.free) + (0 if self.air is None else len(self.free) + 3)
 
     def input(
         self,
@@ -83,7 +94,7 @@ class MassSpring:
         if velocity is not None:
             u[size : 2 * size] = np.reshape(velocity, size)
         if force is not None:
-            u[2 * size :] = np.reshape(force, 3 * len(self.free))
+            u[2 * size :][: 3 * len(self.free)] = np.reshape(force, -1)
         return u
 
     def surface(self, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -105,8 +116,14 @@ class MassSpring:
 
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f with respect to x (Gomes 2016, eq. 3.23), with M^-1 in both halves."""
-        stiffness = self._blocks.gather(self._shape(x, u).stiffness(self.springs, clamp=False))
-        return self._blocks.state_matrix(self._weighted(stiffness), self._jav)
+        shape, jav = self._shape(x, u), self._jav
+        stiffness = self._blocks.gather(shape.stiffness(self.springs, clamp=False))
+        if shape.normals is not None:
+            gust, common = self._wind(u[6 * len(self.driven) :])
+            slope = shape.normals.slope(shape.velocity, gust, common)
+            stiffness += self._blocks.of_triangles(slope)
+            jav = jav + self._weighted(self._air_damping(shape.normals))
+        return self._blocks.state_matrix(self._weighted(stiffness), jav)
 
     def input_after(self, u: FloatArray, dt: float) -> FloatArray:
         """Input dt [s] later: the driven nodes go on with their velocities."""
@@ -117,46 +134,61 @@ class MassSpring:
 
     def jac_input(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f with respect to u, shape (dim_x, dim_u)."""
-        s, count = self.springs, len(self.springs.pairs)
-        each, n = np.arange(count + 1), 3 * len(self.free)
-        stiffness = self._shape(x, u).stiffness(s, clamp=False).reshape(-1, 3, 3)
-        blocks = sparse.bsr_array((stiffness, each[:-1], each), shape=(3 * count, 3 * count))
-        ends = sparse.kron(sparse.csr_array(self._blocks.incidence), sparse.eye(3))
-        mass = sparse.diags(np.repeat(self._inverse_mass, 3))
-        pulled = -(mass @ ends @ blocks @ self._driven_ends)
-        damped = -(mass @ ends @ sparse.diags(np.repeat(s.damping, 3)) @ self._driven_ends)
-        still = sparse.csr_array((n, self.dim_u))
-        slope = sparse.hstack([pulled, damped, mass])
-        return sparse.csr_array(sparse.vstack([still, slope]))
-
-    def jac_force(self) -> sparse.csr_array:
-        """Derivative of f with respect to a force on each free node, shape (6 free, 3 free)."""
-        n = 3 * len(self.free)
-        gain = sparse.diags(np.repeat(self._inverse_mass, 3))
-        return sparse.csr_array(sparse.vstack([sparse.csr_array((n, n)), gain]))
+        # the change of the velocity in a step that is so short that nothing moves
+        at = self.linearise(x, u)
+        slope = at.shape.stiffness(self.springs, clamp=False)
+        tangent = MechanicalTangent(at, 1.0, np.asarray, slope, at.air_slope(0.0, 0.0))
+        pushed = tangent.pushed(np.eye(self.dim_u), held=True) * self._inverse_mass3[:, None]
+        return sparse.csr_array(np.concatenate([np.zeros_like(pushed), pushed]))
 
     def linearise(self, x: FloatArray, u: FloatArray) -> _Linearised:
         """Return what an implicit step needs at x, from one look at the geometry."""
-        shape = self._shape(x, u)
-        return _Linearised(self, shape, x[3 * len(self.free) :], self._force(u, shape))
+        shape, load = self._shape(x, u), u[6 * len(self.driven) :]
+        return _Linearised(self, shape, x[3 * len(self.free) :], self._inner_force(shape), load)
 
     def _f(self, x: FloatArray, u: FloatArray, shape: _Shape) -> FloatArray:
-        n = 3 * len(self.free)
-        return np.concatenate([x[n:], self._force(u, shape) * self._inverse_mass3])
+        load = self._load(shape, u[6 * len(self.driven) :])
+        force = self._inner_force(shape) + load
+        return np.concatenate([x[3 * len(self.free) :], force * self._inverse_mass3])
 
-    def _force(self, u: FloatArray, shape: _Shape) -> FloatArray:
-        """Force [N] on the free nodes, with their weight, shape (3 free,)."""
+    def _inner_force(self, shape: _Shape) -> FloatArray:
+        """Force [N] of springs, weight and drag on the free nodes, shape (3 free,)."""
         s = self.springs
         pull = -s.stiffness_at(shape.length) * (1.0 - s.rest_length / shape.length)
         force = pull[:, None] * shape.offset - s.damping[:, None] * shape.offset_rate
-        total = (self._blocks.incidence @ force).ravel() + u[6 * len(self.driven) :]
-        return np.asarray(total + self._weight)
+        total = (self._blocks.incidence @ force).ravel() + self._weight
+        if shape.normals is not None:
+            still = np.zeros(self.nodes), np.zeros(3)
+            total += shape.normals.force(shape.velocity, *still)[self.free].ravel()
+        return np.asarray(total)
+
+    def _load(self, shape: _Shape, load: FloatArray) -> FloatArray:
+        """Force [N] of loads on the free nodes, (3 free,) of (dim_load,) or with m columns."""
+        n = 3 * len(self.free)
+        if shape.normals is None:
+            return load
+        gust, common = np.split(load[n:], [len(self.free)])
+        unit, share = shape.normals.unit[self.free], shape.normals.air.share[self.free]
+        pressure = (gust + unit @ common).T * share
+        return load[:n] + (pressure[..., None] * unit).reshape(*load.shape[1:], n).T
+
+    def _wind(self, load: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Gust at each node, shape (nodes,), and common wind, (3,), of a load."""
+        own, common = np.split(load[3 * len(self.free) :], [len(self.free)])
+        gust = np.zeros(self.nodes)
+        gust[self.free] = own
+        return gust, common
+
+    def _air_damping(self, normals: Normals) -> FloatArray:
+        return self._blocks.on_diagonal(normals.damping()[self.free])
 
     def _shape(self, x: FloatArray, u: FloatArray) -> _Shape:
         position, velocity = self.surface(x, u)
         offset = position[self._i] - position[self._j]
         length = np.maximum(np.sqrt(np.einsum('si,si->s', offset, offset)), SHORTEST)
-        return _Shape(offset, velocity[self._i] - velocity[self._j], length)
+        normals = None if self.air is None else self.air.at(position)
+        rate = velocity[self._i] - velocity[self._j]
+        return _Shape(offset, rate, length, velocity, normals)
 
     def _ends_of_driven(self) -> sparse.csr_array:
         """Offsets of the springs by the positions of the driven nodes, (3 springs, 3 driven)."""
@@ -183,11 +215,16 @@ class MassSpring:
 
 @dataclass(frozen=True)
 class _Shape:
-    """Geometry of the springs: offsets [m] and their rates [m/s], (springs, 3), lengths [m]."""
+    """Geometry of the springs: offsets [m] and their rates [m/s], (springs, 3), lengths [m].
+
+    velocity [m/s] of all nodes, shape (nodes, 3); normals, where there is air.
+    """
 
     offset: FloatArray
     offset_rate: FloatArray
     length: FloatArray
+    velocity: FloatArray
+    normals: Normals | None
 
     def stiffness(self, springs: Springs, clamp: bool) -> FloatArray:
         """One block k [(1 - r/l)(I - n n') + n n'] per spring, (springs, 9) (Gomes, eq. 3.20)."""
@@ -224,13 +261,15 @@ class _Shape:
 class _Linearised:
     """A surface at one state; see `types.Linearised`.
 
-    velocity [m/s] of the free nodes and force [N] on them, each of shape (3 free,).
+    velocity [m/s] of the free nodes and inner force [N] on them, each of shape (3 free,); load,
+    shape (dim_load,).
     """
 
     model: MassSpring
     shape: _Shape
     velocity: FloatArray
     force: FloatArray
+    load: FloatArray
 
     def solver(self, dt: float) -> Solver:
         """Solver of A = M - dt^2 K - dt D, by its Cholesky factor; b has shape (3 free, m).
@@ -241,29 +280,45 @@ class _Linearised:
         """
         m, blocks = self.model, self.model._blocks
         stiffness = blocks.gather(self._clamped)
-        return blocks.cholesky(m._mass_blocks - dt**2 * stiffness - dt * m._damping_blocks)
+        matrix = m._mass_blocks - dt**2 * stiffness - dt * m._damping_blocks
+        if self.shape.normals is not None:
+            matrix -= dt * m._air_damping(self.shape.normals)
+        return blocks.cholesky(matrix)
 
-    def change(self, dt: float, solver: Solver, force: FloatArray | float = 0.0) -> FloatArray:
+    def change(self, dt: float, solver: Solver, load: FloatArray | float = 0.0) -> FloatArray:
         """Change of the state in a step (Gomes 2016, eq. 3.32); the driven nodes move on in it.
 
-        force [N]: further one on the free nodes, shape (3 free,).
+        load: what comes to that of the input, shape (dim_load,).
         """
+        m = self.model
         blocks = self._clamped.reshape(-1, 3, 3)
         resistance = np.einsum('sij,sj->si', blocks, self.shape.offset_rate)
-        pulled = (self.model._blocks.incidence @ resistance).ravel()
-        faster = solver(dt * (self.force + force) - dt**2 * pulled)
+        pulled = (m._blocks.incidence @ resistance).ravel()
+        force = self.force + m._load(self.shape, self.load + load)
+        faster = solver(dt * force - dt**2 * pulled)
         return np.concatenate([dt * (self.velocity + faster), faster])
 
-    def tangent(self, dt: float, solver: Solver, change: FloatArray) -> MechanicalTangent:
+    def tangent(
+        self, dt: float, solver: Solver, change: FloatArray, load: FloatArray | float = 0.0
+    ) -> MechanicalTangent:
         """Derivative of the step, through the change of the matrix with the state too."""
         m, n = self.model, 3 * len(self.model.free)
-        moved = dt * self.shape.offset_rate
         faster = np.zeros((m.nodes, 3))
         faster[m.free] = change[n:].reshape(-1, 3)
-        moved += dt * (faster[m._i] - faster[m._j])
+        moved = dt * (self.shape.offset_rate + faster[m._i] - faster[m._j])
         slope = self.shape.stiffness(m.springs, clamp=False)
         slope += self.shape.stiffness_change(m.springs, moved)
-        return MechanicalTangent(self, dt, solver, slope)
+        return MechanicalTangent(self, dt, solver, slope, self.air_slope(faster, load))
+
+    def air_slope(self, faster: FloatArray | float, load: FloatArray | float) -> FloatArray | None:
+        """Derivative of the air's force by the positions, (t, 3, 3, 9); None without air.
+
+        It acts on the velocity after the step, which is higher by `faster` [m/s], (nodes, 3).
+        """
+        if self.shape.normals is None:
+            return None
+        wind = self.model._wind(self.load + load)
+        return self.shape.normals.slope(self.shape.velocity + faster, *wind)
 
     @cached_property
     def _clamped(self) -> FloatArray:
@@ -277,44 +332,87 @@ class MechanicalTangent:
     included, by the positions; y the velocity after the step. See `types.Tangent`.
     """
 
-    def __init__(self, at: _Linearised, dt: float, solver: Solver, slope: FloatArray) -> None:
-        """Take S of each spring, shape (springs, 9)."""
+    def __init__(
+        self,
+        at: _Linearised,
+        dt: float,
+        solver: Solver,
+        springs: FloatArray,
+        air: FloatArray | None,
+    ) -> None:
+        """Take S of each spring, shape (springs, 9), and of the air, shape (t, 3, 3, 9)."""
         blocks = at.model._blocks
-        self._at, self._dt, self._solver, self._springs = at, dt, solver, slope
-        self._slope = blocks.matrix(blocks.gather(slope))
+        self._at, self._dt, self._solver = at, dt, solver
+        self._springs, self._air = springs, air
+        slope = blocks.gather(springs)
+        self._slope = blocks.matrix(slope if air is None else slope + blocks.of_triangles(air))
         self._mass = at.model._mass3[:, None]
 
-    def push(self, columns: FloatArray, force: FloatArray | float = 0.0) -> FloatArray:
-        """Return F C, shape (dim_x, m), for changes of the force [N], (3 free, m), as well."""
+    def push(self, columns: FloatArray, load: FloatArray | None = None) -> FloatArray:
+        """Return F C, shape (dim_x, m), for changes of the load, (dim_load, m), as well."""
         n, dt = len(self._mass), self._dt
         position, velocity = columns[:n], columns[n:]
-        after = self._solver(self._mass * velocity + dt * (self._slope @ position + force))
+        pulled = self._slope @ position
+        if load is not None:
+            pulled += self._at.model._load(self._at.shape, load)
+        after = self._solver(self._mass * velocity + dt * pulled)
         return np.concatenate([position + dt * after, after])
 
     def pull(self, rows: FloatArray) -> FloatArray:
         """Return W F, shape (m, dim_x)."""
-        return self.pull_force(rows)[0]
+        return self.pull_load(rows)[0]
 
-    def pull_force(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return W F and the derivative of W x by the force [N], shapes (m, dim_x), (m, n)."""
+    def pull_load(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return W F and the derivative of W x by the load, shapes (m, dim_x), (m, dim_load)."""
         n, dt = len(self._mass), self._dt
         both = self._solver((rows[:, n:] + dt * rows[:, :n]).T)
         position = rows[:, :n] + dt * (self._slope.T @ both).T
-        return np.concatenate([position, (self._mass * both).T], axis=1), dt * both.T
+        pulled = np.concatenate([position, (self._mass * both).T], axis=1)
+        return pulled, dt * self._by_load(both.T)
 
     def drive(self, inputs: FloatArray) -> FloatArray:
-        """Change of the state after the step with the driven nodes and the forces on the free."""
-        m, dt = self._at.model, self._dt
+        """Change of the state after the step with the driven nodes and the load."""
+        after = self._solver(self._dt * self.pushed(inputs))
+        return np.concatenate([self._dt * after, after])
+
+    def pushed(self, inputs: FloatArray, held: bool = False) -> FloatArray:
+        """Change of the force on the free nodes, (3 free, m), with inputs, (dim_u, m).
+
+        The driven nodes move on over the step, or are held.
+        """
+        m, dt = self._at.model, 0.0 if held else self._dt
         size, columns = 3 * len(m.driven), inputs.shape[1]
-        still = np.zeros((m.dim_x, columns))
+        force = m._load(self._at.shape, inputs[2 * size :])
         if not size:
-            return self.push(still, inputs)  # forces alone
+            return force
+        position = inputs[:size]
         offset, rate = (
             (m._driven_ends @ part).reshape(-1, 3, columns)
-            for part in (inputs[:size], inputs[size : 2 * size])
+            for part in (position, inputs[size : 2 * size])
         )
         clamped = self._at._clamped.reshape(-1, 3, 3)
         pull = self._springs.reshape(-1, 3, 3) @ offset
         pull += dt * clamped @ rate + m.springs.damping[:, None, None] * rate
-        total = np.asarray(m._blocks.incidence @ pull.reshape(len(pull), -1))
-        return self.push(still, inputs[2 * size :] - total.reshape(-1, columns))
+        force = force - (m._blocks.incidence @ pull.reshape(len(pull), -1)).reshape(-1, columns)
+        return force if self._air is None else force + self._turned(position)
+
+    def _turned(self, driven: FloatArray) -> FloatArray:
+        """Change of the air's force with the positions [m] of the driven nodes, (3 driven, m)."""
+        m, columns = self._at.model, driven.shape[1]
+        assert m.air is not None and self._air is not None  # noqa: PT018
+        moved, force = np.zeros((2, m.nodes, 3, columns))
+        moved[m.driven] = driven.reshape(-1, 3, columns)
+        corner = moved[m.air.triangles].reshape(len(m.air.triangles), 9, columns)
+        by_corner = self._air.reshape(-1, 3, 3, 3, 3).transpose(0, 1, 3, 2, 4).reshape(-1, 9, 9)
+        turned = (by_corner @ corner).reshape(-1, 3, 3, columns)
+        np.add.at(force, m.air.triangles, turned)
+        return np.asarray(force[m.free]).reshape(-1, columns)
+
+    def _by_load(self, rows: FloatArray) -> FloatArray:
+        """Derivative by the load, (m, dim_load), from that by the forces, (m, 3 free)."""
+        normals, free = self._at.shape.normals, self._at.model.free
+        if normals is None:
+            return rows
+        along = np.einsum('mfi,fi->mf', rows.reshape(len(rows), -1, 3), normals.unit[free])
+        along *= normals.air.share[free]
+        return np.concatenate([rows, along, along @ normals.unit[free]], axis=1)

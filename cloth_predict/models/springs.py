@@ -17,23 +17,23 @@ class Springs:
     stiffness k [N/m], damping d [N s/m], rest_length r [m]; one value may stand for all springs.
     compression: the share of k that a spring shorter than r has, from 1 (a spring) to 0 (a
     string); cloth between two nodes buckles rather than resist. Raises ValueError for values
-    that are negative or not finite.
+    that are negative or not finite, and for no share.
     """
 
     pairs: IntArray
     stiffness: FloatArray
     damping: FloatArray
     rest_length: FloatArray
-    compression: float = 1.0
+    compression: FloatArray | float = 1.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.compression <= 1:
-            raise ValueError('compression must lie between 0 and 1')
-        for name in ('stiffness', 'damping', 'rest_length'):
+        for name in ('stiffness', 'damping', 'rest_length', 'compression'):
             values = np.broadcast_to(np.asarray(getattr(self, name), float), (len(self.pairs),))
             if not np.all(np.isfinite(values)) or np.any(values < 0):
                 raise ValueError(f'{name} must be finite and not negative')
             object.__setattr__(self, name, values)
+        if np.any(np.asarray(self.compression) > 1):
+            raise ValueError('compression must lie between 0 and 1')
 
     def stiffness_at(self, length: FloatArray) -> FloatArray:
         """Stiffness [N/m] of springs of these lengths [m], both of shape (springs,)."""
@@ -76,16 +76,22 @@ def mesh_springs(
     rest_length: FloatArray,
     stiffness: Mapping[str, float],
     damping: float,
-    compression: float = 1.0,
+    compression: Mapping[str, float] | float = 1.0,
 ) -> Springs:
     """Springs of any mesh: node pairs by family, each of shape (springs, 2).
 
     rest_length [m], shape (all springs,), of the families in turn; the others as in
-    `grid_springs`.
+    `grid_springs`, `compression` also by family.
     """
     pairs = np.concatenate(list(families.values()))
-    k = np.concatenate([np.full(len(p), stiffness[name]) for name, p in families.items()])
-    return Springs(pairs, k, np.full(len(pairs), damping), rest_length, compression)
+    share = (
+        compression if isinstance(compression, Mapping) else dict.fromkeys(families, compression)
+    )
+    k, less = (
+        np.concatenate([np.full(len(p), values[name]) for name, p in families.items()])
+        for values in (stiffness, share)
+    )
+    return Springs(pairs, k, np.full(len(pairs), damping), rest_length, less)
 
 
 def _pairs(rows: int, cols: int, offsets: tuple[tuple[int, int], ...]) -> IntArray:
