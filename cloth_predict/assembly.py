@@ -9,6 +9,7 @@ from scipy.sparse.linalg import spsolve
 from cloth_predict import topology
 from cloth_predict.config import Config, ModelConfig
 from cloth_predict.forces import force_variances
+from cloth_predict.layout import Layout, lay_out
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import mesh_springs
 from cloth_predict.topology import Topology, adjacency
@@ -16,13 +17,25 @@ from cloth_predict.types import BoolArray, FloatArray, Gaussian, IntArray
 
 LOOSE_END = 1e-3
 """Weight of the bending at a node with one neighbour."""
+BETWEEN = 0.01
+"""Standard deviation [m] of a node at the start that was put on the line between two markers: the
+height of an arc of 0.17 m over its chord where a fold has a radius of 0.36 m."""
 
 
 def rest_shape(model: ModelConfig) -> FloatArray:
     """Flat grid at rest [m], shape (nodes, 3): rows go down (-y), columns to the right (+x)."""
-    x = np.linspace(0.0, model.width, model.cols) if model.cols > 1 else np.zeros(1)
-    y = -np.linspace(0.0, model.height, model.rows) if model.rows > 1 else np.zeros(1)
-    grid = np.zeros((model.rows, model.cols, 3))
+    return _flat_grid(model, model.rows, model.cols)
+
+
+def mesh_rest_shape(model: ModelConfig) -> FloatArray:
+    """The same of the mesh of the model [m], shape (mesh nodes, 3)."""
+    return _flat_grid(model, *model.mesh)
+
+
+def _flat_grid(model: ModelConfig, rows: int, cols: int) -> FloatArray:
+    x = np.linspace(0.0, model.width, cols) if cols > 1 else np.zeros(1)
+    y = -np.linspace(0.0, model.height, rows) if rows > 1 else np.zeros(1)
+    grid = np.zeros((rows, cols, 3))
     grid[..., 0], grid[..., 1] = x, y[:, None]
     return grid.reshape(-1, 3)
 
@@ -39,18 +52,20 @@ def topology_of(model: ModelConfig, surface: FloatArray) -> Topology:
 def build_mass_spring(
     config: Config,
     surface: FloatArray,
-    joined: Topology | None = None,
+    layout: Layout | None = None,
     rest_length: FloatArray | None = None,
 ) -> MassSpring:
     """Build the configured model.
 
-    surface [m], shape (nodes, 3): what is not given is taken from it. joined: which nodes are;
-    rest_length [m], shape (springs,).
+    surface [m], shape (markers, 3): what is not given is taken from it; rest_length [m], shape
+    (springs,).
     """
     model = config.model
-    joined = topology_of(model, surface) if joined is None else joined
+    if layout is None:
+        layout = lay_out(config, topology_of(model, surface), surface)
+    joined = layout.topology
     if model.rest_length == 'dimensions':
-        rest_length = lengths_of(joined.pairs, rest_shape(model))
+        rest_length = lengths_of(joined.pairs, mesh_rest_shape(model))
     elif rest_length is None:
         rest_length = lengths_of(joined.pairs, surface)
     stiffness = {
@@ -58,11 +73,12 @@ def build_mass_spring(
         'shear': model.stiffness_shear,
         'flexion': model.stiffness_flexion,
     }
-    springs = mesh_springs(
-        joined.families, rest_length, stiffness, model.damping, model.compression
-    )
-    mass = np.full(model.count, model.mass / model.count)
-    return MassSpring(springs, mass, config.anchors.nodes, model.gravity)
+    compression = dict.fromkeys(stiffness, model.compression)
+    if model.compression_flexion >= 0:
+        compression['flexion'] = model.compression_flexion
+    springs = mesh_springs(joined.families, rest_length, stiffness, model.damping, compression)
+    mass = np.full(layout.nodes, model.mass / layout.nodes)
+    return MassSpring(springs, mass, layout.driven_mesh, model.gravity)
 
 
 def lengths_of(pairs: IntArray, positions: FloatArray) -> FloatArray:
@@ -143,12 +159,22 @@ def aligned(shape: FloatArray, positions: FloatArray, visible: BoolArray) -> Flo
     return np.asarray((shape - from_mean) @ turn.T + to_mean)
 
 
+def on_mesh(
+    layout: Layout, surface: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Carry positions [m], (markers, 3), and their spread [m], (markers,), to the mesh nodes."""
+    position = layout.between @ surface
+    sigma = np.hypot(layout.between @ spread, BETWEEN)
+    position[layout.markers], sigma[layout.markers] = surface, spread
+    return position, sigma
+
+
 def first_belief(
     config: Config, mesh: MassSpring, surface: FloatArray, spread: FloatArray
 ) -> Gaussian:
-    """Start at rest at `surface` [m], shape (nodes, 3) (Gomes 2016, eq. 6.15).
+    """Start at rest at `surface` [m], shape (mesh nodes, 3) (Gomes 2016, eq. 6.15).
 
-    spread [m], shape (nodes,): how uncertain the position is beyond the noise of a marker.
+    spread [m], shape (mesh nodes,): how uncertain a position is beyond the noise of a marker.
     """
     size, settings = 3 * len(mesh.free), config.filter
     variances = [

@@ -23,6 +23,8 @@ from cloth_predict.errors import ConfigError
 
 FEWEST_NODES = {'edges': 2, 'delaunay': 3}
 """By topology."""
+NEEDS_A_MARKER_PER_NODE = ('fixed_gain', 'recursive_least_squares')
+"""Filters that lose a node which is never seen: its covariance grows for ever."""
 
 
 def param(
@@ -67,6 +69,12 @@ class ModelConfig:
     edges: tuple[int, ...] = param(
         (), 'pairs of joined nodes of `edges`, one after the other: 0, 1, 1, 2, ...', low=0
     )
+    refine: int = param(
+        1,
+        'cells of the model along each cell of a grid of markers, with nodes between them that '
+        'nobody sees; needs `rest_length` dimensions',
+        low=1,
+    )
     width: float = param(0.51, 'from the first to the last column at rest', 'm', above=0)
     height: float = param(0.80, 'from the first to the last row at rest', 'm', above=0)
     rest_length: str = param(
@@ -88,6 +96,12 @@ class ModelConfig:
     compression: float = param(
         1.0, 'share of its stiffness that a compressed spring has; cloth buckles', low=0, high=1
     )
+    compression_flexion: float = param(
+        -1.0,
+        'the same of the springs to the nodes 2 away; below 0 it is `compression`',
+        low=-1,
+        high=1,
+    )
     gravity: tuple[float, ...] = param(
         (0.0, -9.81, 0.0), 'gravity in the mocap frame', 'm/s^2', length=3
     )
@@ -101,6 +115,11 @@ class ModelConfig:
     def shape(self) -> tuple[int, int]:
         """Rows and columns of a published surface: (1, nodes) where there are none."""
         return (self.rows, self.cols) if self.topology == 'grid' else (1, self.nodes)
+
+    @property
+    def mesh(self) -> tuple[int, int]:
+        """Rows and columns of the mesh of a grid: those of the markers, and those between."""
+        return (self.rows - 1) * self.refine + 1, (self.cols - 1) * self.refine + 1
 
     @property
     def name(self) -> str:
@@ -490,6 +509,13 @@ def _check_model(model: ModelConfig, source: str) -> None:
     ):
         if given and model.topology not in kinds:
             raise ConfigError(f'{source}.{name}: has no meaning with topology {model.topology}')
+    if model.refine > 1 and model.topology != 'grid':
+        raise ConfigError(f'{source}.refine: has no meaning with topology {model.topology}')
+    if model.refine > 1 and model.rest_length != 'dimensions':
+        raise ConfigError(
+            f'{source}.refine: nobody sees the nodes between the markers, so that it needs '
+            f'rest_length dimensions'
+        )
     if model.topology == 'grid':
         return
     if model.nodes < FEWEST_NODES[model.topology]:
@@ -525,6 +551,8 @@ def _flaw_of_edges(nodes: int, flat: tuple[int, ...]) -> str:
 
 
 def _check_together(config: Config, source: str) -> None:
+    if config.model.refine > 1 and config.filter.kind in NEEDS_A_MARKER_PER_NODE:
+        raise ConfigError(f'{source}: filter.kind {config.filter.kind} needs model.refine 1')
     if len(set(config.labels)) != len(config.labels):
         raise ConfigError(f'{source}: labels: a label is listed twice')
     if len(set(config.horizons)) != len(config.horizons):

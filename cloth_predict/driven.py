@@ -14,14 +14,21 @@ from cloth_predict.types import BoolArray, Dynamics, FloatArray, IntArray
 
 
 class DrivenNodes:
-    """Follows the driven nodes and extrapolates them; `nodes`, shape (driven,), are their indices.
+    """Follows the driven nodes and extrapolates them; `nodes`, shape (driven,), are their markers.
 
     What is extrapolated has shape (driven, 3), in the order of `nodes`.
     """
 
-    def __init__(self, config: Config, nodes: IntArray, surface: FloatArray) -> None:
-        """Start at `surface` [m], shape (nodes, 3)."""
+    def __init__(
+        self, config: Config, nodes: IntArray, surface: FloatArray, drive: FloatArray | None = None
+    ) -> None:
+        """Start at `surface` [m], shape (markers, 3).
+
+        drive, shape (driven mesh nodes, driven): how they move those of the model, if not as one.
+        """
         self.nodes = nodes
+        drive = np.eye(len(nodes)) if drive is None else drive
+        self._drive = np.kron(drive, np.eye(3))
         self._integrator = INTEGRATORS[config.filter.integrator]
         self._moving = bool(len(nodes)) and config.anchors.motion != 'fixed'
         unseen = KinematicBank.unseen(
@@ -68,7 +75,7 @@ class DrivenNodes:
         knowing where the driven nodes go. The error of a coordinate is taken to keep its sign and
         to grow as its standard deviation does.
         """
-        count = 3 * len(self.nodes)
+        size, count = self._drive.shape
         spread = np.zeros((model.dim_x, count))
         if not self._moving or not inputs:
             return spread[:, :0]
@@ -76,7 +83,8 @@ class DrivenNodes:
         change = np.zeros((model.dim_u, count))
         for u, now, then in zip(inputs, sigma[:-1], sigma[1:], strict=True):
             mean, tangent = self._integrator.step_tangent(model, mean, u, dt)
-            change[:count], change[count : 2 * count] = np.diag(now), np.diag((then - now) / dt)
+            change[:size] = self._drive * now
+            change[size : 2 * size] = self._drive * ((then - now) / dt)
             spread = tangent.push(spread) + tangent.drive(change)
         return spread
 

@@ -12,7 +12,7 @@ from cloth_predict.driven import DrivenNodes
 from cloth_predict.errors import FrameError
 from cloth_predict.filters.linear import of_groups
 from cloth_predict.starting import Start
-from cloth_predict.types import FloatArray, IntArray, Surface
+from cloth_predict.types import FloatArray, Surface
 
 NANOSECONDS = 1e9
 
@@ -27,12 +27,12 @@ def moved(now: Start, driven: DrivenNodes, dt: float, config: Config) -> Start:
 
 
 def ahead(now: Start, horizon: float, config: Config) -> tuple[FloatArray, FloatArray]:
-    """State `horizon` [s] ahead, shape (dim_x,), and covariances of free nodes, (free, 3, 3).
+    """State `horizon` [s] ahead, shape (dim_x,), and covariances of free markers, (free, 3, 3).
 
     Raises FrameError where the model does not get there.
     """
     steps, dt = split(horizon, config.filter.predict_step)
-    inputs, groups = _inputs(now, 0.0, steps, dt), rows(now)
+    inputs, groups = _inputs(now, 0.0, steps, dt), now.layout.rows
     try:
         mean, cov = now.filter.forecast(now.belief, now.model, inputs, now.noise, dt, groups)
         owed = now.driven.spread(now.model, now.belief.mean, inputs, dt)[groups.ravel()]
@@ -46,25 +46,27 @@ def ahead(now: Start, horizon: float, config: Config) -> tuple[FloatArray, Float
 
 
 def surface(now: Start, mean: FloatArray, cov: FloatArray, stamp: int, horizon: float) -> Surface:
-    """All nodes, of a state that is `horizon` [s] after the frame at `stamp` [ns].
+    """All markers, of a state that is `horizon` [s] after the frame at `stamp` [ns].
 
-    mean, shape (dim_x,); cov [m^2], shape (free, 3, 3): positions of the free nodes.
+    mean, shape (dim_x,); cov [m^2], shape (free, 3, 3): positions of the free markers.
     """
-    mesh, driven = now.mesh, now.driven.extrapolate(horizon)
-    u, size = mesh.input(driven[0], driven[1]), 3 * len(mesh.free)
-    position, velocity = mesh.surface(mean, u)
-    acceleration, covariance = np.zeros_like(position), np.zeros((len(position), 3, 3))
-    acceleration[mesh.free] = now.model.f(mean, u)[size : 2 * size].reshape(-1, 3)
-    acceleration[mesh.driven] = driven[2]
-    covariance[mesh.free] = cov
-    covariance[mesh.driven] = now.driven.variances(horizon)[:, None, None] * np.eye(3)
+    layout, driven = now.layout, now.driven.extrapolate(horizon)
+    u = now.input(driven[0], driven[1])
+    position, velocity = (of_all[layout.markers] for of_all in now.mesh.surface(mean, u))
+    acceleration, covariance = np.zeros_like(position), spread(now, cov, horizon)
+    acceleration[layout.free] = now.model.f(mean, u)[3 * len(now.mesh.free) + layout.rows]
+    acceleration[layout.driven] = driven[2]
     at = stamp + round(horizon * NANOSECONDS)
     return Surface(at, position, velocity, acceleration, covariance)
 
 
-def rows(now: Start) -> IntArray:
-    """Position rows of the state by free node, shape (free, 3)."""
-    return np.arange(3 * len(now.mesh.free)).reshape(-1, 3)
+def spread(now: Start, cov: FloatArray, horizon: float) -> FloatArray:
+    """Covariance of each marker [m^2], shape (markers, 3, 3); cov, shape (free, 3, 3)."""
+    layout = now.layout
+    covariance = np.zeros((len(layout.markers), 3, 3))
+    covariance[layout.free] = cov
+    covariance[layout.driven] = now.driven.variances(horizon)[:, None, None] * np.eye(3)
+    return covariance
 
 
 def split(duration: float, longest: float) -> tuple[int, float]:
@@ -78,4 +80,4 @@ def _inputs(now: Start, begin: float, steps: int, dt: float) -> list[FloatArray]
     if not steps:
         return []
     path = now.driven.path([begin + k * dt for k in range(steps + 1)])
-    return [now.mesh.input(position, velocity) for position, velocity in path]
+    return [now.input(position, velocity) for position, velocity in path]

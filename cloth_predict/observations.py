@@ -24,6 +24,11 @@ class VisiblePositions:
     def of_nodes(cls, nodes: IntArray, sigma: float) -> VisiblePositions:
         """Observe these free nodes with sigma [m] on each coordinate."""
         rows = (3 * np.asarray(nodes, np.int64)[:, None] + np.arange(3)).ravel()
+        return cls.of_rows(rows, sigma)
+
+    @classmethod
+    def of_rows(cls, rows: IntArray, sigma: float) -> VisiblePositions:
+        """Observe these rows of the state, shape (m,), with sigma [m] on each."""
         return cls(rows, np.full(len(rows), sigma**2))
 
     def h(self, x: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from cloth_predict.assembly import (
     complete,
     first_belief,
     lengths_of,
+    on_mesh,
     topology_of,
 )
 from cloth_predict.calibration import Calibration, Frame, filled_in, median_lengths
@@ -21,6 +22,7 @@ from cloth_predict.errors import FrameError
 from cloth_predict.filters.family import build_filter
 from cloth_predict.forces import disturbed, process_noise
 from cloth_predict.labelling import follow, label
+from cloth_predict.layout import Layout, lay_out
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.topology import Topology
@@ -37,7 +39,10 @@ MOST_NAMED = 4
 
 @dataclass(frozen=True)
 class Start:
-    """All that following a surface needs; noise, shape (dim_x,): spectral densities."""
+    """All that following a surface needs.
+
+    noise, shape (dim_x,): spectral densities; topology: of the markers.
+    """
 
     mesh: MassSpring
     model: MassSpring | Disturbed
@@ -46,6 +51,12 @@ class Start:
     driven: DrivenNodes
     belief: Belief
     topology: Topology
+    layout: Layout
+
+    def input(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Input for positions [m] and velocities [m/s] of the driven markers, (driven, 3)."""
+        drive = self.layout.drive
+        return self.mesh.input(drive @ position, drive @ velocity)
 
 
 class Starter:
@@ -197,10 +208,15 @@ def _built(
     lengths: FloatArray,
 ) -> Start:
     """Model, filter and belief at rest at a surface [m], shape (nodes, 3), of known spread."""
-    mesh = build_mass_spring(config, surface, joined, lengths)
+    layout = lay_out(config, joined, surface)
+    mesh = build_mass_spring(config, surface, layout, lengths)
     model, noise = disturbed(config, mesh), process_noise(config, mesh)
-    nodes = DrivenNodes(config, mesh.driven, surface)
+    nodes = DrivenNodes(config, layout.driven, surface, layout.drive)
     chosen = build_filter(config, mesh)
-    prior, held = first_belief(config, mesh, surface, spread), nodes.extrapolate(0.0)
-    belief = chosen.start(prior, model, mesh.input(held[0], held[1]), noise)
-    return Start(mesh, model, noise, chosen, nodes, belief, joined)
+    prior, held = (
+        first_belief(config, mesh, *on_mesh(layout, surface, spread)),
+        nodes.extrapolate(0.0),
+    )
+    now = Start(mesh, model, noise, chosen, nodes, prior, joined, layout)
+    belief = chosen.start(prior, model, now.input(held[0], held[1]), noise)
+    return replace(now, belief=belief)

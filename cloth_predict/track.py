@@ -16,7 +16,7 @@ from cloth_predict.config import Config
 from cloth_predict.driven import DrivenNodes
 from cloth_predict.filters.linear import nearest_positive_definite
 from cloth_predict.identification import Expected, Identified, identify, inside, no_points
-from cloth_predict.motion import NANOSECONDS, moved, rows
+from cloth_predict.motion import NANOSECONDS, moved, spread
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.starting import Start
 from cloth_predict.types import Belief, BoolArray, FloatArray, Gaussian, Innovation, IntArray
@@ -115,7 +115,8 @@ def _follow(track: Track, frame: Frame, config: Config) -> tuple[Track, Step]:
         driven.update(found.positions, others)
         arrived = replace(track, now=moved(track.now, driven, dt, config))
     belief, innovation = _updated(arrived.now, found, config)
-    sound = (np.diagonal(belief.marginals(rows(arrived.now)), axis1=1, axis2=2) > 0).all()
+    known = belief.marginals(arrived.now.layout.rows)
+    sound = (np.diagonal(known, axis1=1, axis2=2) > 0).all()
     belief = belief if sound else _repaired(belief)
     last = np.where(found.visible, frame.stamp, track.last)
     lost = min(len(found.left), (~found.visible).sum()) > found.visible.sum()
@@ -133,30 +134,28 @@ def _in_place(driven: DrivenNodes, track: Track, frame: Frame, config: Config) -
     seen = driven.nodes[frame.visible[driven.nodes]]
     own[seen] = True
     if config.association.check_labels and len(seen):
-        predicted, spread = np.zeros((len(own), 3)), np.zeros((len(own), 3, 3))
+        predicted, gate = np.zeros((len(own), 3)), np.zeros((len(own), 3, 3))
         predicted[driven.nodes] = driven.extrapolate(0.0)[0]
-        spread[driven.nodes] = driven.variances(0.0)[:, None, None] * np.eye(3)
-        spread += _allowance(track, frame, config)
+        gate[driven.nodes] = driven.variances(0.0)[:, None, None] * np.eye(3)
+        gate += _allowance(track, frame, config)
         error = frame.positions[seen] - predicted[seen]
-        own[seen] = inside(error, spread[seen], config.association.gate)
+        own[seen] = inside(error, gate[seen], config.association.gate)
     return own
 
 
 def _identified(track: Track, frame: Frame, own: BoolArray, config: Config) -> Identified:
     """Which marker is which node of a track that was moved to the frame; own: known already."""
-    mesh, settings = track.now.mesh, config.association
+    now, settings = track.now, config.association
     labelled = Identified.as_labelled(frame.positions, frame.visible)
     sure = own if settings.check_labels else frame.visible
     if not len(frame.points) and not (frame.visible & ~sure).any():
         return labelled
-    held = track.now.driven.extrapolate(0.0)
-    predicted, _ = mesh.surface(track.now.belief.mean, mesh.input(held[0], held[1]))
-    spread = np.zeros((len(predicted), 3, 3))
-    spread[mesh.free] = track.now.belief.marginals(rows(track.now))
-    spread[mesh.driven] = track.now.driven.variances(0.0)[:, None, None] * np.eye(3)
-    spread += _allowance(track, frame, config)
+    held = now.driven.extrapolate(0.0)
+    mesh, _ = now.mesh.surface(now.belief.mean, now.input(held[0], held[1]))
+    known = spread(now, now.belief.marginals(now.layout.rows), 0.0)
+    known += _allowance(track, frame, config)
     doubtful = frame.stamp - track.last > DOUBTFUL * NANOSECONDS
-    expected = Expected(predicted, spread, sure, doubtful)
+    expected = Expected(mesh[now.layout.markers], known, sure, doubtful)
     reach = FASTEST * (frame.stamp - track.stamp) / NANOSECONDS
     return identify(expected, labelled, frame.points, track.left, reach, settings.gate)
 
@@ -168,18 +167,20 @@ def _allowance(track: Track, frame: Frame, config: Config) -> FloatArray:
     """
     settings = config.association
     unseen = (frame.stamp - track.last) / NANOSECONDS
-    widest = track.now.mesh.springs.rest_length.min() / limit_of(settings.gate) ** 0.5
+    nearest = config.model.refine * track.now.mesh.springs.rest_length.min()
+    widest = nearest / limit_of(settings.gate) ** 0.5
     slack = np.minimum(settings.slack + settings.drift * unseen, max(widest, settings.slack))
     variance = slack**2 + config.filter.measurement_noise**2
     return np.asarray(variance[:, None, None] * np.eye(3))
 
 
 def _updated(now: Start, found: Identified, config: Config) -> tuple[Belief, Innovation]:
-    seen = np.flatnonzero(found.visible[now.mesh.free])
-    obs = VisiblePositions.of_nodes(seen, config.filter.measurement_noise)
-    z = found.positions[now.mesh.free[seen]].ravel()
+    rows, free = now.layout.rows, now.layout.free
+    seen = found.visible[free]
+    obs = VisiblePositions.of_rows(rows[seen].ravel(), config.filter.measurement_noise)
+    z = found.positions[free[seen]].ravel()
     belief, innovation = now.filter.update(now.belief, obs, z)
-    if not np.isfinite(belief.mean).all() or not np.isfinite(belief.marginals(rows(now))).all():
+    if not np.isfinite(belief.mean).all() or not np.isfinite(belief.marginals(rows)).all():
         raise FloatingPointError('the estimate is not finite')
     return belief, innovation
 

@@ -10,7 +10,7 @@ import numpy as np
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
 from cloth_predict.limits import Health, judge, require_certain, spread
-from cloth_predict.motion import NANOSECONDS, ahead, rows, surface
+from cloth_predict.motion import NANOSECONDS, ahead, surface
 from cloth_predict.rewind import Entry, Memory
 from cloth_predict.starting import Start, Starter
 from cloth_predict.topology import NO_TRIANGLES
@@ -50,7 +50,7 @@ class Tracker:
 
     @property
     def triangles(self) -> IntArray:
-        """Triangles of nodes, shape (t, 3); none before the start, nor of a chain."""
+        """Triangles of markers, shape (t, 3); none before the start, nor of a chain."""
         return self._track().now.topology.triangles if self._memory else NO_TRIANGLES
 
     def step(
@@ -74,7 +74,7 @@ class Tracker:
     def estimate(self) -> Surface:
         """Return the surface at the last frame."""
         track, belief = self._track(), self._track().now.belief
-        known = belief.marginals(rows(track.now))
+        known = belief.marginals(track.now.layout.rows)
         return surface(track.now, belief.mean, known, track.stamp, 0.0)
 
     def predict(self, horizon: float) -> Surface:
@@ -104,7 +104,7 @@ class Tracker:
         track = self._track()
         mean, cov = ahead(track.now, horizon, self.config)
         found = surface(track.now, mean, cov, track.stamp, horizon)
-        return found, spread(found, track.now.mesh.free)
+        return found, spread(found, track.now.layout.free)
 
     def _check(self, positions: FloatArray, visible: BoolArray, points: FloatArray) -> None:
         if positions.shape != (self.nodes, 3) or visible.shape != (self.nodes,):
