@@ -17,7 +17,6 @@ import matplotlib as mpl
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter as Reference
 from matplotlib.figure import Figure
-from threadpoolctl import threadpool_limits
 
 from cloth_predict.assembly import rest_shape
 from cloth_predict.config import Config, build
@@ -27,6 +26,7 @@ from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_springs
 from cloth_predict.observations import VisiblePositions
+from cloth_predict.performance import one_core
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import FloatArray, Gaussian
 
@@ -193,5 +193,5 @@ def draw(found: dict[str, list[tuple[float, float]]], path: Path) -> None:
 
 
 if __name__ == '__main__':
-    with threadpool_limits(1):
+    with one_core():
         main()

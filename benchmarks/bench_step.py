@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter as Reference
-from threadpoolctl import threadpool_limits
 
 from cloth_predict.config import Config, ForceConfig, load
 from cloth_predict.formats.bag import read_recording
+from cloth_predict.performance import one_core
 from cloth_predict.tracker import Tracker
 
 ROOT = Path(__file__).parents[1]
@@ -75,5 +75,5 @@ def filterpy_frame(tracker: Tracker) -> Callable[[int], None]:
 
 
 if __name__ == '__main__':
-    with threadpool_limits(1):
+    with one_core():
         main()

@@ -8,8 +8,9 @@ from scipy.sparse.linalg import spsolve
 
 from cloth_predict import topology
 from cloth_predict.config import Config, ModelConfig
-from cloth_predict.forces import force_variances
+from cloth_predict.forces import air_around, force_variances
 from cloth_predict.layout import Layout, lay_out
+from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import mesh_springs
 from cloth_predict.topology import Topology, adjacency
@@ -78,7 +79,8 @@ def build_mass_spring(
         compression['flexion'] = model.compression_flexion
     springs = mesh_springs(joined.families, rest_length, stiffness, model.damping, compression)
     mass = np.full(layout.nodes, model.mass / layout.nodes)
-    return MassSpring(springs, mass, layout.driven_mesh, model.gravity)
+    air = air_around(config, layout)
+    return MassSpring(springs, mass, layout.driven_mesh, model.gravity, air)
 
 
 def lengths_of(pairs: IntArray, positions: FloatArray) -> FloatArray:
@@ -170,7 +172,11 @@ def on_mesh(
 
 
 def first_belief(
-    config: Config, mesh: MassSpring, surface: FloatArray, spread: FloatArray
+    config: Config,
+    mesh: MassSpring,
+    model: MassSpring | Disturbed,
+    surface: FloatArray,
+    spread: FloatArray,
 ) -> Gaussian:
     """Start at rest at `surface` [m], shape (mesh nodes, 3) (Gomes 2016, eq. 6.15).
 
@@ -181,7 +187,7 @@ def first_belief(
         np.repeat(settings.measurement_noise + spread[mesh.free], 3) ** 2,
         np.full(size, settings.initial_velocity) ** 2,
     ]
-    variance = np.concatenate([*variances, force_variances(config, mesh)])
+    variance = np.concatenate([*variances, force_variances(model)])
     mean = np.zeros(len(variance))
     mean[:size] = surface[mesh.free].ravel()
     return Gaussian(mean, np.diag(variance))

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from cloth_predict import __version__, report
@@ -20,6 +19,7 @@ from cloth_predict.config import Config
 from cloth_predict.degrade import Degradation
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
 from cloth_predict.filters.family import FILTERS
+from cloth_predict.performance import one_core
 from cloth_predict.share import find
 from cloth_predict.simulate import SCENARIOS
 
@@ -30,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     warnings.showwarning = _warn
     try:
         # the matrices are small: a second BLAS thread costs more than it computes
-        with threadpool_limits(1):
+        with one_core():
             options.call(options)
     except ClothPredictError as error:
         print(f'cloth-predict: {error}', file=sys.stderr)

@@ -166,6 +166,36 @@ class ForceConfig:
 
 
 @dataclass(frozen=True)
+class WindConfig:
+    """Moving air as a state of the filter: it presses along the normals, and damps the motion.
+
+    Forces are those on the area of one marker (a cell of a grid).
+    """
+
+    kind: str = param(
+        'none',
+        'gusts at each free marker and a wind common to all; for surfaces, not for chains',
+        choices=('none', 'normal'),
+    )
+    sigma: float = param(0.12, 'standard deviation of a gust at one marker', 'N', above=0)
+    tau: float = param(0.23, 'time over which a gust forgets', 's', above=0)
+    length: float = param(0.2, 'distance over which gusts are alike', 'm', above=0)
+    independent: float = param(
+        0.17,
+        "share of a gust's variance that each marker has for itself",
+        above=0,
+        high=1,
+    )
+    common_sigma: float = param(
+        0.2, 'standard deviation of each component of the common wind', 'N', above=0
+    )
+    common_tau: float = param(1.0, 'time over which the common wind forgets', 's', above=0)
+    drag: float = param(
+        0.17, 'what moving at 1 m/s along its normal costs a marker', 'N s/m', low=0
+    )
+
+
+@dataclass(frozen=True)
 class FilterConfig:
     """The estimator."""
 
@@ -379,6 +409,7 @@ class Config:
     model: ModelConfig = ModelConfig()
     anchors: AnchorsConfig = AnchorsConfig()
     force: ForceConfig = ForceConfig()
+    wind: WindConfig = WindConfig()
     filter: FilterConfig = FilterConfig()
     association: AssociationConfig = AssociationConfig()
     limits: LimitsConfig = LimitsConfig()

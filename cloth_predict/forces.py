@@ -1,44 +1,91 @@
-"""The forces that the model does not know: which there are, how they change, their first spread."""
+"""What is unknown of the forces: which parts there are, how they change, their first spread."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
-from cloth_predict.config import Config
-from cloth_predict.models.disturbed import Disturbed, ForceProcess
+from cloth_predict.config import Config, WindConfig
+from cloth_predict.layout import Layout
+from cloth_predict.models.air import Air
+from cloth_predict.models.disturbed import Disturbed, ForceProcess, Unknown
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.types import FloatArray
 
-
-def force_process(config: Config) -> ForceProcess | None:
-    """Return how the unknown forces change, or None where there are none."""
-    kinds = {
-        'ornstein_uhlenbeck': ForceProcess.ornstein_uhlenbeck,
-        'matern': ForceProcess.matern,
-    }
-    make = kinds.get(config.force.kind)
-    return make(config.force.sigma, config.force.tau) if make else None
+PROCESSES = {
+    'ornstein_uhlenbeck': ForceProcess.ornstein_uhlenbeck,
+    'matern': ForceProcess.matern,
+}
 
 
-def disturbed(config: Config, mesh: MassSpring) -> MassSpring | Disturbed:
-    """Add the unknown forces to the states where they are configured."""
-    process = force_process(config)
-    return mesh if process is None else Disturbed(mesh, process)
+def air_around(config: Config, layout: Layout) -> Air | None:
+    """Return the air, its drag given for the area of one marker; None where it is left out."""
+    if config.wind.kind == 'none':
+        return None
+    return Air(layout.topology.triangles, layout.share, config.wind.drag)
 
 
-def process_noise(config: Config, mesh: MassSpring) -> FloatArray:
+def disturbed(
+    config: Config, mesh: MassSpring, layout: Layout, surface: FloatArray
+) -> MassSpring | Disturbed:
+    """Add what is unknown of the forces to the states.
+
+    surface [m], shape (markers, 3): the first one, from which gusts take their distances.
+    """
+    parts = unknown_parts(config, mesh, layout, surface)
+    return Disturbed(mesh, *parts) if parts else mesh
+
+
+def unknown_parts(
+    config: Config, mesh: MassSpring, layout: Layout, surface: FloatArray
+) -> list[Unknown]:
+    """Return the unknown parts of the load: one force per free marker, gusts, a common wind."""
+    parts, nodes, markers = [], len(mesh.free), len(layout.free)
+    force, wind = config.force, config.wind
+    if force.kind != 'none':
+        process = PROCESSES[force.kind](force.sigma, force.tau)
+        mix = None
+        if config.model.refine > 1:  # a marker's force is shared by the nodes around it
+            shared = layout.interpolation / config.model.refine**2
+            mix = np.kron(shared, np.eye(3)).astype(float)
+        parts.append(Unknown(process, slice(0, 3 * nodes), 3 * markers, mix))
+    if wind.kind != 'none':
+        mix = layout.interpolation @ alike(wind, surface[layout.free])
+        gusts = ForceProcess.matern(wind.sigma, wind.tau)
+        parts.append(Unknown(gusts, slice(3 * nodes, 4 * nodes), markers, mix))
+        common = ForceProcess.matern(wind.common_sigma, wind.common_tau)
+        parts.append(Unknown(common, slice(4 * nodes, 4 * nodes + 3), 3))
+    return parts
+
+
+def alike(wind: WindConfig, points: FloatArray) -> FloatArray:
+    """Root L of the correlation L L' of gusts at points [m], (m, 3), each of variance one.
+
+    The correlation falls with the distance d as exp(-d^2 / 2 length^2), but for a share that each
+    point has for itself.
+    """
+    near = np.exp(-0.5 * cdist(points, points, 'sqeuclidean') / wind.length**2)
+    own = wind.independent
+    return np.asarray(np.linalg.cholesky((1.0 - own) * near + own * np.eye(len(points))))
+
+
+def process_noise(config: Config, mesh: MassSpring, model: MassSpring | Disturbed) -> FloatArray:
     """Spectral densities of the noise on each state, shape (dim_x,).
 
-    Unknown acceleration on the velocities, and what drives the unknown forces.
+    Unknown acceleration on the velocities, and what drives the unknown parts of the load.
     """
-    size, process = 3 * len(mesh.free), force_process(config)
+    size = 3 * len(mesh.free)
     densities = [np.zeros(size), np.full(size, config.filter.process_noise)]
-    if process is not None:
-        densities += [np.zeros(size)] * (len(process.drift) - 1) + [np.full(size, process.density)]
+    for part in _unknown(model):
+        densities += [np.zeros(part.size - part.count), np.full(part.count, part.process.density)]
     return np.concatenate(densities)
 
 
-def force_variances(config: Config, mesh: MassSpring) -> FloatArray:
-    """Variances of the forces and their rates before anything is known of them."""
-    process, size = force_process(config), 3 * len(mesh.free)
-    return np.repeat(process.variance, size) if process else np.zeros(0)
+def force_variances(model: MassSpring | Disturbed) -> FloatArray:
+    """Variances of the unknown parts and their rates before anything is known of them."""
+    variances = [np.repeat(part.process.variance, part.count) for part in _unknown(model)]
+    return np.concatenate([np.zeros(0), *variances])
+
+
+def _unknown(model: MassSpring | Disturbed) -> tuple[Unknown, ...]:
+    return model.unknown if isinstance(model, Disturbed) else ()

@@ -94,7 +94,8 @@ class RungeKutta:
         stages: list[tuple[FloatArray, FloatArray]],
     ) -> FloatArray:
         """Derivative of the step by the input, by the chain rule through the stages."""
-        rate, slope_jacs = _input_rate(model, u), []
+        rate = _input_rate(model, u)
+        slope_jacs: list[FloatArray] = []
         for row, (stage, stage_u) in zip(self.tableau.a, stages, strict=True):
             later = np.eye(model.dim_u) + dt * sum(row) * rate
             own = model.jac_input(stage, stage_u) @ later
@@ -172,6 +173,10 @@ class DenseTangent:
     def pull(self, rows: FloatArray) -> FloatArray:
         """Return W F."""
         return rows @ self.step_jac
+
+    def sandwich(self, cov: FloatArray) -> FloatArray:
+        """Return F P F'."""
+        return self.step_jac @ cov @ self.step_jac.T
 
     def drive(self, inputs: FloatArray) -> FloatArray:
         """Change of the state after the step with its inputs."""

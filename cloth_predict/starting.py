@@ -210,13 +210,12 @@ def _built(
     """Model, filter and belief at rest at a surface [m], shape (nodes, 3), of known spread."""
     layout = lay_out(config, joined, surface)
     mesh = build_mass_spring(config, surface, layout, lengths)
-    model, noise = disturbed(config, mesh), process_noise(config, mesh)
+    model = disturbed(config, mesh, layout, surface)
+    noise = process_noise(config, mesh, model)
     nodes = DrivenNodes(config, layout.driven, surface, layout.drive)
     chosen = build_filter(config, mesh)
-    prior, held = (
-        first_belief(config, mesh, *on_mesh(layout, surface, spread)),
-        nodes.extrapolate(0.0),
-    )
+    prior = first_belief(config, mesh, model, *on_mesh(layout, surface, spread))
+    held = nodes.extrapolate(0.0)
     now = Start(mesh, model, noise, chosen, nodes, prior, joined, layout)
     belief = chosen.start(prior, model, now.input(held[0], held[1]), noise)
     return replace(now, belief=belief)

@@ -214,6 +214,9 @@ class Tangent(Protocol):
     def pull(self, rows: FloatArray) -> FloatArray:
         """Return W F, both of shape (m, dim_x)."""
 
+    def sandwich(self, cov: FloatArray) -> FloatArray:
+        """Return F P F' of a symmetric P, shape (dim_x, dim_x)."""
+
     def drive(self, inputs: FloatArray) -> FloatArray:
         """Change of the state after the step, (dim_x, m), with its inputs, shape (dim_u, m)."""
 

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from cloth_predict.performance import one_core
+
 DATA = Path(os.environ.get('CLOTH_PREDICT_DATA', Path(__file__).parents[2] / 'shared' / 'data'))
+
+
+@pytest.fixture(autouse=True, scope='session')
+def quick() -> Iterator[None]:
+    """Run all tests as the commands and the nodes run."""
+    with one_core():
+        yield
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from references import (
     damped_oscillators,
     even_surface,
     order_of,
+    random_covariance,
     random_surface,
 )
 from scipy.integrate import solve_ivp
@@ -129,6 +130,11 @@ def test_jacobian_of_the_step_equals_central_differences(name, rest, disturbed):
     np.testing.assert_allclose(tangent.pull(rows), pulled, atol=1e-13 * np.abs(pulled).max())
     np.testing.assert_allclose(
         tangent.push(rows.T), step_jac @ rows.T, atol=1e-13 * np.abs(pulled).max()
+    )  # the same
+    cov = random_covariance(rng, model.dim_x)
+    expected = step_jac @ cov @ step_jac.T
+    np.testing.assert_allclose(
+        tangent.sandwich(cov), expected, atol=1e-13 * np.abs(expected).max()
     )  # the same
     driven = central_differences(lambda y: method.step(model, x, y, dt), u, 1e-7)
     found = tangent.drive(np.eye(model.dim_u))

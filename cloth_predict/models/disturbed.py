@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -25,6 +26,11 @@ class LoadedTangent(Tangent, Protocol):
 
     def pull_load(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return W F and the derivative of W x by the load, shape (m, dim_load)."""
+
+    def sandwiched(
+        self, pushed: FloatArray, push: Callable[[FloatArray], FloatArray]
+    ) -> FloatArray:
+        """Columns of F P F' of the model's states, from F P, which has further rows, and F C."""
 
 
 class LoadedLinearised(Linearised, Protocol):
@@ -274,6 +280,12 @@ class _Tangent:
         columns = self.model.stepped(columns, self.dt, back=True)
         columns[:size] = inner.T
         return columns.T
+
+    def sandwich(self, cov: FloatArray) -> FloatArray:
+        """Return F P F' of a symmetric P."""
+        size, pushed = self.model.model.dim_x, self.push(cov)
+        unknown = self.model.stepped(pushed.T, self.dt)[size:].T
+        return np.concatenate([self.inner.sandwiched(pushed, self.push), unknown], axis=1)
 
     def drive(self, inputs: FloatArray) -> FloatArray:
         """Change of the state after the step with its inputs, on which no unknown depends."""

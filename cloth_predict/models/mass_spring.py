@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -167,10 +167,12 @@ class MassSpring:
         n = 3 * len(self.free)
         if shape.normals is None:
             return load
-        gust, common = np.split(load[n:], [len(self.free)])
-        unit, share = shape.normals.unit[self.free], shape.normals.air.share[self.free]
-        pressure = (gust + unit @ common).T * share
-        return load[:n] + (pressure[..., None] * unit).reshape(*load.shape[1:], n).T
+        gust, common = load[n:-3], load[-3:]
+        pressed = shape.normals.unit[self.free] * shape.normals.air.share[self.free][:, None]
+        pressure = gust + shape.normals.unit[self.free] @ common
+        if load.ndim == 1:
+            return load[:n] + (pressed * pressure[:, None]).ravel()
+        return load[:n] + (pressed[:, :, None] * pressure[:, None]).reshape(n, -1)
 
     def _wind(self, load: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Gust at each node, shape (nodes,), and common wind, (3,), of a load."""
@@ -362,6 +364,22 @@ class MechanicalTangent:
         """Return W F, shape (m, dim_x)."""
         return self.pull_load(rows)[0]
 
+    def sandwich(self, cov: FloatArray) -> FloatArray:
+        """Return F P F' of a symmetric P."""
+        return self.sandwiched(self.push(cov), self.push)
+
+    def sandwiched(
+        self, pushed: FloatArray, push: Callable[[FloatArray], FloatArray]
+    ) -> FloatArray:
+        """Columns of the positions and velocities of F P F', from F P, which may have more rows.
+
+        Those of the velocities are pushed; a position moves on by dt times its velocity after the
+        step, and so do the columns.
+        """
+        n = len(self._mass)
+        velocity = push(pushed[n : 2 * n].T)
+        return np.concatenate([pushed[:, :n] + self._dt * velocity, velocity], axis=1)
+
     def pull_load(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return W F and the derivative of W x by the load, shapes (m, dim_x), (m, dim_load)."""
         n, dt = len(self._mass), self._dt
@@ -394,7 +412,7 @@ class MechanicalTangent:
         pull = self._springs.reshape(-1, 3, 3) @ offset
         pull += dt * clamped @ rate + m.springs.damping[:, None, None] * rate
         force = force - (m._blocks.incidence @ pull.reshape(len(pull), -1)).reshape(-1, columns)
-        return force if self._air is None else force + self._turned(position)
+        return np.asarray(force if self._air is None else force + self._turned(position))
 
     def _turned(self, driven: FloatArray) -> FloatArray:
         """Change of the air's force with the positions [m] of the driven nodes, (3 driven, m)."""

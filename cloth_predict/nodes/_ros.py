@@ -25,11 +25,11 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
-from threadpoolctl import threadpool_limits
 
 from cloth_predict.config import Config, build, flatten, nest, parse_yaml
 from cloth_predict.errors import ClothPredictError, FrameError
 from cloth_predict.formats.pointcloud import fields_of
+from cloth_predict.performance import one_core
 
 SENSOR_QOS = QoSProfile(depth=5, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 """Latest data over complete data: a late frame is of no use to a projector."""
@@ -120,7 +120,7 @@ def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> in
     threading.Thread(target=_last_resort, args=(leaving,), daemon=True).start()
     node = None
     try:
-        with threadpool_limits(1):
+        with one_core():
             node = make()
             spin(node, lambda: not getattr(node, 'finished', False))
     except (KeyboardInterrupt, ExternalShutdownException):
