@@ -23,8 +23,8 @@ def settings(motion, integrator='implicit_euler'):
     )
 
 
-def followed(config, nodes, surface, frames=30):
-    driven = DrivenNodes(config, nodes, surface)
+def followed(config, nodes, surface, frames=30, drive=None):
+    driven = DrivenNodes(config, nodes, surface, drive)
     rng = np.random.default_rng(3)
     for _ in range(frames):
         driven.advance(DT)
@@ -33,15 +33,19 @@ def followed(config, nodes, surface, frames=30):
 
 
 @pytest.mark.parametrize('integrator', ['implicit_euler', 'rk4'])
-def test_spread_is_the_change_with_a_path_that_errs(integrator):
-    mesh, x, u = random_surface(np.random.default_rng(1), 4, 3, (0, 2))
-    model, x = Disturbed(mesh, 0.3), np.append(x, np.zeros(30))
+@pytest.mark.parametrize('between', [False, True])
+def test_spread_is_the_change_with_a_path_that_errs(integrator, between):
+    """With two driven nodes, or with a third one that moves as their mean."""
+    nodes = (0, 1, 2) if between else (0, 2)
+    drive = np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]) if between else np.eye(2)
+    mesh, x, u = random_surface(np.random.default_rng(1), 4, 3, nodes)
+    model, x = Disturbed(mesh, 0.3), np.append(x, np.zeros(3 * len(mesh.free)))
     config = settings('constant_velocity', integrator)
     surface = mesh.surface(x, u)[0]
-    driven = followed(config, mesh.driven, surface)
+    driven = followed(config, np.array([0, 2]), surface, drive=drive if between else None)
     times = [k * 0.005 for k in range(11)]
     path = driven.path(times)
-    spread = driven.spread(model, x, [mesh.input(*part) for part in path], 0.005)
+    spread = driven.spread(model, x, [mesh.input(drive @ p, drive @ v) for p, v in path], 0.005)
     assert spread.shape == (model.dim_x, 6)
 
     def end(column, size):
@@ -52,16 +56,15 @@ def test_spread_is_the_change_with_a_path_that_errs(integrator):
         y = x
         for k, (position, velocity) in enumerate(path):
             rate = velocity + (offset[k + 1] - offset[k]) / 0.005
-            y = INTEGRATORS[integrator].step(
-                model, y, mesh.input(position + offset[k], rate), 0.005
-            )
+            at = mesh.input(drive @ (position + offset[k]), drive @ rate)
+            y = INTEGRATORS[integrator].step(model, y, at, 0.005)
         return y
 
     for column in range(6):
         expected = (end(column, 0.01) - end(column, -0.01)) / 0.02
         # the third derivative over a hundredth of a sigma
         np.testing.assert_allclose(spread[:, column], expected, atol=1e-4 * np.abs(expected).max())
-    assert np.abs(spread[:30]).max() > 1e-3  # m; the neighbours feel it
+    assert np.abs(spread[: 3 * len(mesh.free)]).max() > 1e-3  # m; the neighbours feel it
 
 
 def test_fixed_nodes_spread_nothing():
