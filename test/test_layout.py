@@ -263,7 +263,7 @@ def test_what_is_shown_is_of_the_markers(motion):
     u = now.input(held[0], held[1])
     edge = u[:30].reshape(2, 5, 3)  # positions and velocities of the first row of the mesh
     np.testing.assert_allclose(edge[:, 1::2], (edge[:, :-1:2] + edge[:, 2::2]) / 2, atol=ROUNDING)
-    np.testing.assert_array_equal(edge[0, ::2], held[0])
+    np.testing.assert_array_equal(edge[:, ::2], held[:2])
     held = now.driven.extrapolate(0.0)
     rate = now.model.f(now.belief.mean, now.input(held[0], held[1]))[60:120].reshape(20, 3)
     shown = tracker.estimate()
