@@ -231,6 +231,12 @@ class FilterConfig:
     initial_velocity: float = param(
         0.5, 'standard deviation of the velocity at the start', 'm/s', low=0
     )
+    hold: int = param(
+        1,
+        'ekf: frames that one covariance serves while the same markers stay in view; 1 is exact',
+        low=1,
+        high=10,
+    )
     ukf_alpha: float = param(
         0.1,
         'ukf: reach of the sigma points, in sqrt(states) standard deviations; where it is small, '

@@ -9,6 +9,7 @@ from cloth_predict.config import Config
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.fixed_gain import FixedGain
 from cloth_predict.filters.gomes2016 import Gomes2016
+from cloth_predict.filters.held import HeldCovariance
 from cloth_predict.filters.least_squares import LeastSquares
 from cloth_predict.filters.recursive_least_squares import RecursiveLeastSquares
 from cloth_predict.filters.reduced_rank import Modes, ReducedRank
@@ -18,7 +19,7 @@ from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.types import Filter
 
 FILTERS: dict[str, Callable[[Config, MassSpring], Filter[Any]]] = {
-    'ekf': lambda config, mesh: ExtendedKalmanFilter(INTEGRATORS[config.filter.integrator]),
+    'ekf': lambda config, mesh: _ekf(config),
     'ukf': lambda config, mesh: SigmaPointFilter(
         INTEGRATORS[config.filter.integrator], config.filter.ukf_alpha, beta=2.0
     ),
@@ -39,6 +40,12 @@ FILTERS: dict[str, Callable[[Config, MassSpring], Filter[Any]]] = {
         INTEGRATORS[config.filter.integrator], Modes.smoothest(mesh, config.filter.rank)
     ),
 }
+
+
+def _ekf(config: Config) -> Filter[Any]:
+    exact = ExtendedKalmanFilter(INTEGRATORS[config.filter.integrator])
+    hold = config.filter.hold
+    return exact if hold == 1 else HeldCovariance(exact, hold)
 
 
 def build_filter(config: Config, mesh: MassSpring) -> Filter[Any]:
