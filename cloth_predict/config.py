@@ -86,13 +86,25 @@ class ModelConfig:
     calibration: float = param(
         2.0, 'time before the start over which `calibrated` measures', 's', above=0
     )
+    prestretch: float = param(
+        0.0,
+        'share by which the springs are shorter at rest than `rest_length` says: what hangs or is '
+        'held taut was under tension there, and tension keeps it straight',
+        low=0,
+        high=0.9,
+    )
     mass: float = param(
         0.34, 'mass of the whole surface, shared evenly by the nodes', 'kg', above=0
     )
     stiffness_structural: float = param(60.0, 'springs to the 4 neighbours', 'N/m', low=0)
     stiffness_shear: float = param(60.0, 'springs to the 4 diagonal neighbours', 'N/m', low=0)
     stiffness_flexion: float = param(60.0, 'springs to the nodes 2 away', 'N/m', low=0)
-    damping: float = param(0.1, 'damper of every spring', 'N s/m', low=0)
+    damping: float = param(
+        0.1,
+        'damper of every spring; shear and flexion springs without stiffness have none',
+        'N s/m',
+        low=0,
+    )
     compression: float = param(
         1.0, 'share of its stiffness that a compressed spring has; cloth buckles', low=0, high=1
     )
@@ -142,7 +154,22 @@ class AnchorsConfig:
     motion: str = param(
         'fixed',
         'how a driven node moves between and beyond its measurements',
-        choices=('fixed', 'constant_velocity', 'constant_acceleration'),
+        choices=('fixed', 'constant_velocity', 'constant_acceleration', 'swing'),
+    )
+    decay: float = param(
+        3.5,
+        'swing, of a hand: how fast the acceleration is forgotten',
+        '1/s',
+        low=0,
+        high=1000,
+    )
+    restoring: float = param(
+        15.0,
+        'swing: how strongly the velocity is drawn back to zero, the square of the angular '
+        'frequency; 0 is the model of Singer',
+        '1/s^2',
+        low=0,
+        high=1e6,
     )
     process_noise: float = param(
         0.0,

@@ -7,10 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cloth_predict.config import Config
+from cloth_predict.config import AnchorsConfig, Config
+from cloth_predict.filters.kinematic import POLYNOMIALS, Motion, swing
 from cloth_predict.filters.kinematic_bank import KinematicBank
 from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.types import BoolArray, Dynamics, FloatArray, IntArray
+
+
+def motion_of(anchors: AnchorsConfig) -> Motion:
+    """Return how a coordinate of a driven node moves."""
+    if anchors.motion == 'swing':
+        return swing(anchors.decay, anchors.restoring)
+    return POLYNOMIALS[anchors.motion]
 
 
 class DrivenNodes:
@@ -32,7 +40,7 @@ class DrivenNodes:
         self._integrator = INTEGRATORS[config.filter.integrator]
         self._moving = bool(len(nodes)) and config.anchors.motion != 'fixed'
         unseen = KinematicBank.unseen(
-            config.anchors.motion,
+            motion_of(config.anchors),
             config.anchors.process_noise,
             config.filter.measurement_noise,
             len(nodes),
@@ -56,7 +64,7 @@ class DrivenNodes:
     def extrapolate(self, ahead: float) -> FloatArray:
         """Positions [m], velocities and accelerations after `ahead` [s], shape (3, driven, 3)."""
         derivatives = np.zeros((3, len(self.nodes), 3))
-        derivatives[: self._bank.order] = self._bank.mean_at(ahead).transpose(1, 0, 2)
+        derivatives[: self._bank.motion.order] = self._bank.mean_at(ahead).transpose(1, 0, 2)
         return derivatives
 
     def path(self, times: Sequence[float]) -> list[tuple[FloatArray, FloatArray]]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
+from cloth_predict.filters.kinematic import POLYNOMIALS
 from cloth_predict.filters.kinematic_bank import KinematicBank
 from cloth_predict.tracker import NANOSECONDS, NO_POINTS, Tracker
 from cloth_predict.types import BoolArray, FloatArray
@@ -131,7 +132,7 @@ class Kinematic:
         self._copies = np.size(density)
         densities = np.repeat(density, config.model.count)
         sigma = config.filter.measurement_noise
-        self._unseen = KinematicBank.unseen(motion, densities, sigma, len(densities))
+        self._unseen = KinematicBank.unseen(POLYNOMIALS[motion], densities, sigma, len(densities))
         self._memory = config.filter.max_backstep * NANOSECONDS
         self._frames: deque[_Frame] = deque()
 

@@ -6,7 +6,9 @@ And what several test files share: a linear model with known solution and random
 from dataclasses import dataclass
 
 import numpy as np
+from filterpy.kalman import KalmanFilter
 from scipy import sparse
+from scipy.linalg import expm
 
 from cloth_predict.integrators import DenseTangent
 from cloth_predict.models.air import Air
@@ -106,6 +108,50 @@ def selection(rows, size):
 def random_covariance(rng, size):
     root = rng.normal(size=(size, 2 * size))
     return root @ root.T / (2 * size)
+
+
+def noise_over(drift, dt):
+    """Integral of exp(drift s) l l' exp(drift s)' over dt, l the last unit vector, by Gauss."""
+    node, weight = np.polynomial.legendre.leggauss(40)
+    last = expm(drift * (dt * (node + 1) / 2)[:, None, None])[:, :, -1]
+    return np.einsum('k,ki,kj->ij', dt * weight / 2, last, last)
+
+
+class KinematicTrack:
+    """One marker by filterpy; drift, shape (n, n), of its position and n - 1 derivatives.
+
+    The three coordinates share F, Q, H and R, so that the state has a column for each.
+    """
+
+    def __init__(self, drift, density, sigma, position, spread=1.0):
+        self.drift, self.density = drift, density
+        self.filter = KalmanFilter(dim_x=len(drift), dim_z=1)
+        self.filter.x = np.zeros((len(drift), 3))
+        self.filter.x[0] = position
+        self.filter.P = np.diag([sigma**2] + [spread**2] * (len(drift) - 1))
+        self.filter.R = np.array([[sigma**2]])
+
+    def over(self, dt):
+        return expm(self.drift * dt), self.density * noise_over(self.drift, dt)
+
+    def predict(self, dt):
+        step, noise = self.over(dt)
+        self.filter.predict(F=step, Q=noise)
+
+    def update(self, position):
+        # filterpy reshapes z to one column unless H is given with it
+        observed = np.eye(1, len(self.drift))
+        self.filter.update(np.reshape(position, (1, 3)), H=observed)
+
+    def extrapolate(self, horizon):
+        """Position, velocity and acceleration, shape (3, 3)."""
+        derivatives = np.zeros((3, 3))
+        derivatives[: len(self.drift)] = self.over(horizon)[0] @ self.filter.x
+        return derivatives
+
+    def variance(self, horizon):
+        step, noise = self.over(horizon)
+        return (step @ self.filter.P @ step.T + noise)[0, 0]
 
 
 # --- numbers about functions

@@ -248,7 +248,7 @@ def test_nested_names_build_what_a_file_builds() -> None:
         ('model: {gravity: [0, .nan, 0]}', 'model.gravity: nan is not finite'),
         # choices and lengths
         ('anchors: {motion: ekf}', "anchors.motion: 'ekf' is not one of fixed, "
-         'constant_velocity, constant_acceleration'),
+         'constant_velocity, constant_acceleration, swing'),
         ('model: {topology: "e\\nf"}', "model.topology: 'e\\nf' is not one of grid, edges, "
          'delaunay'),
         ('model: {gravity: [0, -9.81]}', 'model.gravity: expected 3 values, got 2'),

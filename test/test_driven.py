@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from references import random_surface
+from references import KinematicTrack, random_surface
 
 from cloth_predict.config import build
 from cloth_predict.driven import DrivenNodes
@@ -13,7 +13,7 @@ DT = 0.01
 
 
 def settings(motion, integrator='implicit_euler'):
-    noise = 0.0 if motion == 'fixed' else 3.0
+    noise = {'fixed': 0.0, 'constant_velocity': 3.0, 'swing': 1e4}[motion]
     return build(
         {
             'anchors': {'motion': motion, 'process_noise': noise},
@@ -34,13 +34,14 @@ def followed(config, nodes, surface, frames=30, drive=None):
 
 @pytest.mark.parametrize('integrator', ['implicit_euler', 'rk4'])
 @pytest.mark.parametrize('between', [False, True])
-def test_spread_is_the_change_with_a_path_that_errs(integrator, between):
+@pytest.mark.parametrize('motion', ['constant_velocity', 'swing'])
+def test_spread_is_the_change_with_a_path_that_errs(integrator, between, motion):
     """With two driven nodes, or with a third one that moves as their mean."""
     nodes = (0, 1, 2) if between else (0, 2)
     drive = np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]) if between else np.eye(2)
     mesh, x, u = random_surface(np.random.default_rng(1), 4, 3, nodes)
     model, x = Disturbed(mesh, 0.3), np.append(x, np.zeros(3 * len(mesh.free)))
-    config = settings('constant_velocity', integrator)
+    config = settings(motion, integrator)
     surface = mesh.surface(x, u)[0]
     driven = followed(config, np.array([0, 2]), surface, drive=drive if between else None)
     times = [k * 0.005 for k in range(11)]
@@ -84,3 +85,31 @@ def test_a_copy_moves_on_by_itself():
     np.testing.assert_array_equal(driven.extrapolate(0.1), before[0])
     np.testing.assert_array_equal(driven.variances(0.1), before[1])
     assert np.abs(other.extrapolate(0.1) - before[0]).max() > 0.1
+
+
+def test_a_swinging_node_is_followed_and_extrapolated_as_by_filterpy():
+    config = build(
+        {
+            'anchors': {'motion': 'swing', 'process_noise': 30.0, 'decay': 3.0, 'restoring': 12.0},
+            'filter': {'measurement_noise': 1e-4, 'initial_velocity': 0.4},
+        },
+        'test',
+    )
+    drift = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -12.0, -3.0]])
+    path = np.sin(4.0 * DT * np.arange(100))[:, None] * [0.1, -0.2, 0.05]
+    driven = DrivenNodes(config, np.array([1]), np.stack([path[0], path[0]]))
+    track = KinematicTrack(drift, 30.0, 1e-4, path[0], 0.4)
+    for position in path[1:]:
+        driven.advance(DT)
+        driven.update(np.stack([position + 1.0, position]), np.ones(2, bool))
+        track.predict(DT)
+        track.update(position)
+    for ahead in (-DT, 0.0, 0.05, 0.2):
+        # the house bound; accelerations are 1e4 times that
+        expected, atol = track.extrapolate(ahead), np.array([[1e-9], [1e-7], [1e-5]])
+        assert (np.abs(driven.extrapolate(ahead)[:, 0] - expected) < atol).all()
+    assert driven.variances(0.2)[0] == pytest.approx(track.variance(0.2), rel=1e-9)  # the same
+    (start, velocity), *_ = driven.path([0.05, 0.2])
+    np.testing.assert_allclose(start[0], track.extrapolate(0.05)[0], atol=1e-9)  # the same
+    mean = (track.extrapolate(0.2)[0] - track.extrapolate(0.05)[0]) / 0.15
+    np.testing.assert_allclose(velocity[0], mean, atol=1e-8)  # the same, over 0.15 s

@@ -1,104 +1,161 @@
-"""Kinematic filters of one marker: their matrices against expm and integrals, then as a whole."""
-
-from math import factorial
+"""How coordinates move by themselves: against expm, integrals, closed forms and limits."""
 
 import numpy as np
 import pytest
-from references import kalman_predict, kalman_update
+from references import order_of
 from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
-from cloth_predict.filters.kinematic import ORDERS, KinematicTrack, transition, white_noise
+from cloth_predict.filters.kinematic import POLYNOMIALS, Motion, swing
+from cloth_predict.filters.kinematic_bank import KinematicBank
+
+MOTIONS = {
+    **POLYNOMIALS,
+    'a hand': swing(3.5, 15.0),
+    'double root': swing(4.0, 4.0),
+    'without decay': swing(0.0, 40.0),
+    'Singer': swing(2.0, 0.0),
+    'fast': swing(300.0, 1e4),
+    'a pendulum': Motion((9.0, 0.4)),
+}
 
 
-@pytest.mark.parametrize('order', ORDERS.values())
-@pytest.mark.parametrize('dt', [0.0, 0.01, 0.7])
-def test_transition_equals_expm(order, dt):
-    shift = np.eye(order, k=1)
-    np.testing.assert_allclose(transition(order, dt), expm(shift * dt), atol=1e-15)  # rounding
+def drift_of(motion):
+    n = motion.order
+    drift = np.diag(np.ones(n - 1), 1)
+    drift[n - 1] = [-r for r in motion.resistance]
+    return drift
 
 
-@pytest.mark.parametrize('order', ORDERS.values())
-@pytest.mark.parametrize('dt', [0.01, 0.7])
-def test_white_noise_equals_the_integral(order, dt):
-    shift, last = np.eye(order, k=1), np.eye(order)[:, [-1]]
+def integral(motion, dt):
+    drift, last = drift_of(motion), np.eye(motion.order)[:, [-1]]
 
     def spread(s):
-        column = expm(shift * s) @ last
-        return 3.0 * column @ column.T
+        column = expm(drift * s) @ last
+        return column @ column.T
 
-    expected = quad_vec(spread, 0, dt, epsabs=1e-20, epsrel=1e-12)[0]
-    # a polynomial of degree 4, which the quadrature integrates to rounding
-    np.testing.assert_allclose(white_noise(order, 3.0, dt), expected, rtol=1e-12)
+    return quad_vec(spread, 0, dt, epsabs=1e-30, epsrel=1e-13)[0]
 
 
-def test_white_noise_of_a_constant_velocity_as_in_the_textbooks():
-    expected = 2.0 * np.array([[0.1**3 / 3, 0.1**2 / 2], [0.1**2 / 2, 0.1]])
-    np.testing.assert_allclose(white_noise(2, 2.0, 0.1), expected, rtol=1e-15)  # rounding
+@pytest.mark.parametrize('dt', [1e-4, 0.01, 0.7, -0.02])
+@pytest.mark.parametrize('motion', MOTIONS.values(), ids=MOTIONS.keys())
+def test_transition_equals_expm(motion, dt):
+    expected = expm(drift_of(motion) * dt)
+    # rounding of expm, by the size of the whole matrix
+    atol = 1e-13 * np.abs(expected).max()
+    np.testing.assert_allclose(motion.over(dt)[0], expected, rtol=1e-12, atol=atol)
 
 
-@pytest.mark.parametrize('motion', ORDERS)
-def test_track_equals_a_textbook_filter_of_three_coordinates(motion):
-    rng = np.random.default_rng(1)
-    order, density, sigma, spread = ORDERS[motion], 0.3, 2e-3, 0.7
-    start = rng.normal(size=3)
-    track = KinematicTrack(motion, density, sigma, start, spread)
-    x = np.append(start, np.zeros(3 * order - 3))
-    P = np.diag([sigma**2] * 3 + [spread**2] * (3 * order - 3))
-    H, R = np.eye(3, 3 * order), sigma**2 * np.eye(3)
-    for _ in range(50):
-        dt, ahead = rng.uniform(0.005, 0.03), rng.uniform(0, 0.2)
-        F = np.kron(expm(np.eye(order, k=1) * dt), np.eye(3))
-        last = [dt**k / factorial(k) for k in range(order)][::-1]
-        Q = np.array(
-            [
-                [density * a * b * dt / (2 * order - 1 - i - j) for j, b in enumerate(last)]
-                for i, a in enumerate(last)
-            ]
-        )
-        x, P = kalman_predict(x, P, F, np.kron(Q, np.eye(3)))
-        track.predict(dt)
-        if rng.random() < 0.8:
-            z = start + rng.normal(0, 0.05, 3)
-            x, P = kalman_update(x, P, H, R, z)
-            track.update(z)
-        found = track.extrapolate(0.0)
-        np.testing.assert_allclose(found[:order].ravel(), x, atol=1e-9)  # the house bound
-        np.testing.assert_array_equal(found[order:], 0.0)
-        F = np.kron(expm(np.eye(order, k=1) * ahead), np.eye(3))
-        np.testing.assert_allclose(track.extrapolate(ahead)[0], (F @ x)[:3], atol=1e-9)  # the same
-        expected = (F @ P @ F.T)[0, 0] + white_noise(order, density, ahead)[0, 0]
-        assert track.variance(ahead) == pytest.approx(expected, rel=1e-9)  # the same
-        assert track.variance(0.0) == pytest.approx(P[2, 2], rel=1e-9)  # the same
+@pytest.mark.parametrize('dt', [1e-4, 0.01, 0.7])
+@pytest.mark.parametrize('motion', MOTIONS.values(), ids=MOTIONS.keys())
+def test_noise_equals_the_integral(motion, dt):
+    expected = integral(motion, dt)
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    # by the size of each element, so that the 1e-22 of a position over 0.1 ms counts as well;
+    # rounding, and what the quadrature leaves of an integrand that dies within a hundredth of dt
+    np.testing.assert_allclose(motion.over(dt)[1] / size, expected / size, atol=1e-10)
+
+
+@pytest.mark.parametrize('motion', MOTIONS.values(), ids=MOTIONS.keys())
+def test_no_time_changes_nothing(motion):
+    step, noise = motion.over(0.0)
+    np.testing.assert_array_equal(step, np.eye(motion.order))
+    np.testing.assert_array_equal(noise, np.zeros((motion.order, motion.order)))
+
+
+def test_polynomials_are_those_of_the_textbooks():
+    step, noise = POLYNOMIALS['constant_acceleration'].over(0.1)
+    np.testing.assert_allclose(step, [[1, 0.1, 0.005], [0, 1, 0.1], [0, 0, 1]], rtol=1e-15)
+    expected = [
+        [0.1**5 / 20, 0.1**4 / 8, 0.1**3 / 6],
+        [0.1**4 / 8, 0.1**3 / 3, 0.1**2 / 2],
+        [0.1**3 / 6, 0.1**2 / 2, 0.1],
+    ]
+    np.testing.assert_allclose(noise, expected, rtol=1e-14)  # rounding
+    noise = POLYNOMIALS['constant_velocity'].over(0.1)[1]
+    np.testing.assert_allclose(noise, [row[1:] for row in expected[1:]], rtol=1e-14)  # rounding
+    assert POLYNOMIALS['fixed'].over(0.1)[1] == pytest.approx(0.1, rel=1e-15)  # rounding
+
+
+def test_without_restoring_a_swing_is_singers_model():
+    """Singer 1970, eq. 7 and the first elements of eq. 9."""
+    a, t = 1.7, 0.6
+    e = np.exp(-a * t)
+    step, noise = swing(a, 0.0).over(t)
+    expected = [[1, t, (a * t - 1 + e) / a**2], [0, 1, (1 - e) / a], [0, 0, e]]
+    np.testing.assert_allclose(step, expected, rtol=1e-14)  # rounding
+    by_acceleration = [(1 - e) ** 2 / 2 / a**2, (1 - e**2) / 2 / a]
+    np.testing.assert_allclose(noise[1:, 2], by_acceleration, rtol=1e-14)  # rounding
+
+
+def test_without_decay_and_restoring_a_swing_is_a_constant_acceleration():
+    exact = POLYNOMIALS['constant_acceleration']
+    assert swing(0.0, 0.0) == exact
+    small = np.array([1e-2, 3e-3, 1e-3])
+    for part in (0, 1):
+        for motions in ([swing(s, 0.0) for s in small], [swing(0.0, s) for s in small]):
+            apart = [np.abs(m.over(0.3)[part] - exact.over(0.3)[part]).max() for m in motions]
+            assert order_of(apart, small) == pytest.approx(1.0, abs=0.01)  # the first term's
+
+
+def test_the_velocity_of_a_swing_is_a_damped_oscillation():
+    decay, restoring, t = 3.5, 15.0, np.linspace(0.0, 3.0, 50)
+    rate = np.sqrt(restoring - decay**2 / 4)
+    wave = np.exp(-decay * t / 2) * (np.cos(rate * t) + decay / 2 / rate * np.sin(rate * t))
+    found = [swing(decay, restoring).over(float(s))[0][1, 1] for s in t]
+    np.testing.assert_allclose(found, wave, atol=1e-14)  # rounding
+
+
+def test_the_noise_of_a_swing_settles():
+    decay, restoring = 3.5, 15.0
+    noise = swing(decay, restoring).over(60.0)[1]
+    # the stationary covariance of a damped oscillator that white noise drives
+    expected = [[1 / (2 * decay * restoring), 0], [0, 1 / (2 * decay)]]
+    np.testing.assert_allclose(noise[1:, 1:], expected, atol=1e-15)  # rounding
+
+
+@pytest.mark.parametrize('motion', ['fixed', 'a hand', 'without decay', 'fast'])
+def test_two_steps_are_one(motion):
+    first, second, both = (MOTIONS[motion].over(dt) for dt in (0.03, 0.11, 0.14))
+    np.testing.assert_allclose(second[0] @ first[0], both[0], atol=1e-13)  # rounding
+    expected = second[0] @ first[1] @ second[0].T + second[1]
+    np.testing.assert_allclose(expected, both[1], rtol=1e-11, atol=1e-18)  # rounding
+
+
+# --- one marker -------------------------------------------------------------------------------
+
+
+def follow(motion, density, sigma, path, spread=1.0, dt=0.01):
+    """Follow positions [m], shape (frames, 3), one after another."""
+    bank = KinematicBank.unseen(motion, density, sigma, 1, spread)
+    for position in path:
+        bank, _ = bank.moved(dt).updated(position[None], np.ones(1, bool))
+        yield bank
 
 
 def test_a_fixed_node_without_noise_is_the_running_mean():
-    rng = np.random.default_rng(2)
     sigma = 3e-4
-    seen = np.array([0.4, 1.5, -0.2]) + rng.normal(0, sigma, (200, 3))
-    track = KinematicTrack('fixed', 0.0, sigma, seen[0])
-    for count, position in enumerate(seen[1:], start=2):
-        track.predict(0.01)
-        track.update(position)
-        found = track.extrapolate(0.1)
-        np.testing.assert_allclose(found[0], seen[:count].mean(axis=0), atol=1e-14)  # rounding
-        assert track.variance(0.1) == pytest.approx(sigma**2 / count, rel=1e-12)  # rounding
-        np.testing.assert_array_equal(found[1:], 0.0)
+    seen = np.array([0.4, 1.5, -0.2]) + np.random.default_rng(2).normal(0, sigma, (200, 3))
+    banks = follow(POLYNOMIALS['fixed'], 0.0, sigma, seen)
+    for count, bank in enumerate(banks, start=1):
+        position, variance = bank.ahead(0.1)
+        np.testing.assert_allclose(position[0], seen[:count].mean(axis=0), atol=1e-14)  # rounding
+        assert variance[0] == pytest.approx(sigma**2 / count, rel=1e-12)  # rounding
 
 
-def test_constant_motions_are_followed_exactly():
-    # without noise a polynomial of the filter's degree is extrapolated to itself
-    time = np.arange(100) * 0.01
-    velocity, acceleration = np.array([0.3, -0.2, 1.0]), np.array([1.0, 2.0, -3.0])
-    for motion, curve in (('constant_velocity', 0.0), ('constant_acceleration', 1.0)):
-        path = time[:, None] * velocity + curve * 0.5 * time[:, None] ** 2 * acceleration
-        track = KinematicTrack(motion, 0.0, 1e-4, path[0], spread=1e3)
-        for position in path[1:]:
-            track.predict(0.01)
-            track.update(position)
-        end = time[-1] + 0.2
-        found = track.extrapolate(0.2)
-        expected = end * velocity + curve * 0.5 * end**2 * acceleration
-        # the first belief of zero speed is forgotten but for (1e-4 / 1e3)^2 of it
-        np.testing.assert_allclose(found[0], expected, atol=1e-8)
-        np.testing.assert_allclose(found[1], velocity + curve * end * acceleration, atol=1e-7)
+@pytest.mark.parametrize(
+    ('motion', 'start'),
+    [
+        ('constant_velocity', [0.3, -0.2]),
+        ('constant_acceleration', [0.3, -0.2, 1.0]),
+        ('a hand', [0.3, -0.2, 1.0]),
+        ('Singer', [0.3, -0.2, 1.0]),
+    ],
+)
+def test_without_noise_a_motion_is_followed_exactly(motion, start):
+    drift = drift_of(MOTIONS[motion])
+    path = [(expm(drift * k * 0.01) @ start)[[0, 0, 0]] * [1, -2, 3] for k in range(100)]
+    *_, bank = follow(MOTIONS[motion], 0.0, 1e-4, np.array(path), spread=1e3)
+    expected = np.outer(expm(drift * 1.19) @ start, [1, -2, 3])
+    # the first belief of zero speed is forgotten but for (1e-4 / 1e3)^2 of it
+    np.testing.assert_allclose(bank.mean_at(0.2)[0], expected, atol=1e-7)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from references import kalman_update
+from references import KinematicTrack, kalman_update
 from scipy.spatial.transform import Rotation
 
 from cloth_predict.assembly import aligned, build_mass_spring, complete, rest_shape
@@ -13,7 +13,6 @@ from cloth_predict.config import build, load
 from cloth_predict.errors import FrameError
 from cloth_predict.evaluation import evaluate
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
-from cloth_predict.filters.kinematic import KinematicTrack
 from cloth_predict.formats.bag import read_recording
 from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
@@ -82,7 +81,8 @@ def test_irregular_stamps_and_missing_markers_equal_stepping_by_hand(motion):
 
     mesh = build_mass_spring(config, positions[0])
     model, kalman = Disturbed(mesh, 0.3), ExtendedKalmanFilter(ImplicitEuler())
-    tracks = [KinematicTrack(motion, noise, 1e-3, positions[0, k], 0.5) for k in range(3)]
+    drift = np.eye(1 if motion == 'fixed' else 2, k=1)
+    tracks = [KinematicTrack(drift, noise, 1e-3, positions[0, k], 0.5) for k in range(3)]
 
     def driven(ahead, dt=None):
         now = np.array([track.extrapolate(ahead) for track in tracks])

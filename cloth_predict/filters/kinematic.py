@@ -1,87 +1,87 @@
-"""Per-marker kinematic Kalman filters: driven nodes, and the baselines of `evaluate`.
-
-The filter itself is filterpy's. The three coordinates of a marker share F, Q, H and R, so one
-filter whose state has a column for each coordinate does all three.
-"""
+"""How a coordinate moves by itself: polynomials but for noise, and the swing of a hand."""
 
 from __future__ import annotations
 
-import copy
-from math import factorial
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
+from scipy.linalg import expm
 
 from cloth_predict.types import FloatArray
 
-ORDERS = {'fixed': 1, 'constant_velocity': 2, 'constant_acceleration': 3}
-"""Number of derivatives in the state: position; and velocity; and acceleration."""
 
+@dataclass(frozen=True)
+class Motion:
+    """p^(n) + resistance[n-1] p^(n-1) + ... + resistance[0] p = white noise, n = `order`.
 
-def transition(order: int, dt: float) -> FloatArray:
-    """Taylor transition matrix of the position and its derivatives, shape (order, order)."""
-    step = np.eye(order)
-    for lag in range(1, order):
-        step.flat[lag : (order - lag) * order : order + 1] = dt**lag / factorial(lag)
-    return step
-
-
-def white_noise(order: int, density: float, dt: float) -> FloatArray:
-    """Covariance over dt of white noise on the highest derivative's rate, shape (order, order).
-
-    density [m^2/s^(2 order - 1)]: the integral of the transition's last column with itself.
+    resistance [1/s^(n-k)], shape (n,). The state is the position and its n - 1 derivatives.
     """
-    power = np.arange(order)[::-1]
-    scale = np.array([1.0 / factorial(p) for p in power])
-    total = power[:, None] + power + 1
-    return np.asarray(density * np.outer(scale, scale) * dt**total / total)
 
+    resistance: tuple[float, ...]
 
-class KinematicTrack:
-    """One marker that moves with constant position, velocity or acceleration but for noise."""
+    @property
+    def order(self) -> int:
+        """Number of derivatives in the state, the position among them."""
+        return len(self.resistance)
 
-    def __init__(
-        self, motion: str, density: float, sigma: float, position: FloatArray, spread: float = 1.0
-    ) -> None:
-        """Start at a position [m], shape (3,), measured with sigma [m] on each coordinate.
+    @property
+    def drift(self) -> FloatArray:
+        """Derivative of the state by the state, shape (order, order)."""
+        drift = np.eye(self.order, k=1)
+        drift[-1] = np.negative(self.resistance)
+        return drift
 
-        density: spectral density of the driving noise; spread: standard deviation of the unknown
-        derivatives at the start, in their own SI units.
+    def over(self, dt: float) -> tuple[FloatArray, FloatArray]:
+        """Transition of the state over dt [s], and the noise's covariance; (order, order) each.
+
+        The covariance is that of white noise of density 1 m^2/s^(2 order - 1). Time is counted in
+        units of dt, so that all derivatives are of the same size and none is lost in rounding.
         """
-        self.order = ORDERS[motion]
-        self._density = density
-        self._filter = KalmanFilter(dim_x=self.order, dim_z=1)
-        self._filter.x = np.zeros((self.order, 3))
-        self._filter.x[0] = position
-        self._filter.P = np.diag([sigma**2] + [spread**2] * (self.order - 1))
-        self._filter.R = np.array([[sigma**2]])
-        self._observed = np.eye(1, self.order)
+        if dt == 0:
+            return np.eye(self.order), np.zeros((self.order, self.order))
+        power = np.arange(self.order)[::-1]
+        scaled = np.array(self.resistance) * dt ** (power + 1.0)
+        step, noise = _over_one(Motion(tuple(scaled.tolist())))
+        scale = dt ** np.asarray(power, float)
+        return step * scale[:, None] / scale, dt * noise * np.outer(scale, scale)
 
-    def copy(self) -> KinematicTrack:
-        """Return a copy that can be moved on by itself."""
-        other = copy.copy(self)
-        other._filter = copy.copy(self._filter)  # its arrays are replaced, never written to
-        return other
 
-    def predict(self, dt: float) -> None:
-        """Move on by dt [s]."""
-        self._filter.predict(
-            F=transition(self.order, dt), Q=white_noise(self.order, self._density, dt)
-        )
+POLYNOMIALS = {
+    'fixed': Motion((0.0,)),
+    'constant_velocity': Motion((0.0,) * 2),
+    'constant_acceleration': Motion((0.0,) * 3),
+}
+"""By the derivative that stays but for noise."""
 
-    def update(self, position: FloatArray) -> None:
-        """Take a measured position [m], shape (3,)."""
-        # filterpy reshapes z to one column unless H is given with it
-        self._filter.update(np.reshape(position, (1, 3)), H=self._observed)
 
-    def extrapolate(self, horizon: float) -> FloatArray:
-        """Position [m], velocity and acceleration `horizon` [s] ahead, shape (3, 3)."""
-        derivatives = np.zeros((3, 3))
-        derivatives[: self.order] = transition(self.order, horizon) @ self._filter.x
-        return derivatives
+def swing(decay: float, restoring: float) -> Motion:
+    """Motion of a hand: p^(3) = -decay p^(2) - restoring p^(1) + noise.
 
-    def variance(self, horizon: float) -> float:
-        """Variance [m^2] of a coordinate of the position `horizon` [s] ahead."""
-        step = transition(self.order, horizon)
-        cov = step @ self._filter.P @ step.T + white_noise(self.order, self._density, horizon)
-        return float(cov[0, 0])
+    The velocity is a damped oscillation. Without `restoring` it is the model of Singer (1970), and
+    without both a constant acceleration.
+    """
+    return Motion((0.0, restoring, decay))
+
+
+@lru_cache(maxsize=256)
+def _over_one(motion: Motion) -> tuple[FloatArray, FloatArray]:
+    """Transition and noise over 1 s, by Van Loan's method (1978); read-only.
+
+    It loses the noise in rounding where the motion decays much, so that such a second is halved.
+    A polynomial is the same in every unit of time, and hands are extrapolated over the same few
+    intervals all the time: most are remembered.
+    """
+    if max(abs(r) for r in motion.resistance) > 2.0:
+        step, noise = motion.over(0.5)
+        step, noise = step @ step, noise + step @ noise @ step.T
+    else:
+        n = motion.order
+        both = np.zeros((2 * n, 2 * n))
+        both[:n, :n], both[n:, n:] = -motion.drift, motion.drift.T
+        both[n - 1, -1] = 1.0
+        exponential = expm(both)
+        step = exponential[n:, n:].T
+        noise = step @ exponential[:n, n:]
+    step.flags.writeable = noise.flags.writeable = False
+    return step, noise

@@ -1,4 +1,4 @@
-"""Kinematic filters of many markers at once; each is the filter of a `KinematicTrack`."""
+"""Kinematic Kalman filters of many markers at once, each marker by itself."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from math import nan
 
 import numpy as np
 
-from cloth_predict.filters.kinematic import ORDERS, transition, white_noise
+from cloth_predict.filters.kinematic import Motion
 from cloth_predict.types import BoolArray, FloatArray
 
 
@@ -15,13 +15,15 @@ from cloth_predict.types import BoolArray, FloatArray
 class KinematicBank:
     """What is believed of each marker; never changed once made.
 
-    mean, shape (markers, order, 3): position [m] and its derivatives; cov, shape
+    motion of each coordinate of each marker, of which `order` derivatives are the state; mean,
+    shape (markers, order, 3): position [m] and its derivatives; cov, shape
     (markers, order, order), of each coordinate; both NaN of a marker that was never seen.
     density, shape (markers,): spectral densities of the driving noise; variance [m^2] of a
     measured coordinate; spread: standard deviation of the unknown derivatives when a marker is
     first seen, in SI units.
     """
 
+    motion: Motion
     mean: FloatArray
     cov: FloatArray
     density: FloatArray
@@ -31,31 +33,26 @@ class KinematicBank:
     @classmethod
     def unseen(
         cls,
-        motion: str,
+        motion: Motion,
         density: float | FloatArray,
         sigma: float,
         markers: int,
         spread: float = 1.0,
     ) -> KinematicBank:
         """Nothing is known yet; density of all or of each, sigma [m] of a measured coordinate."""
-        order = ORDERS[motion]
+        order = motion.order
         mean, cov = np.full((markers, order, 3), nan), np.full((markers, order, order), nan)
-        return cls(mean, cov, np.broadcast_to(density, markers), sigma**2, spread)
-
-    @property
-    def order(self) -> int:
-        """Number of derivatives in the state, the position among them."""
-        return int(self.mean.shape[1])
+        return cls(motion, mean, cov, np.broadcast_to(density, markers), sigma**2, spread)
 
     def mean_at(self, ahead: float) -> FloatArray:
         """Position [m] and its derivatives `ahead` [s] later, shape (markers, order, 3)."""
-        return transition(self.order, ahead) @ self.mean
+        return self.motion.over(ahead)[0] @ self.mean
 
     def moved(self, dt: float) -> KinematicBank:
         """Return the belief dt [s] later."""
-        step = transition(self.order, dt)
-        noise = self.density[:, None, None] * white_noise(self.order, 1.0, dt)
-        return replace(self, mean=step @ self.mean, cov=step @ self.cov @ step.T + noise)
+        step, noise = self.motion.over(dt)
+        cov = step @ self.cov @ step.T + self.density[:, None, None] * noise
+        return replace(self, mean=step @ self.mean, cov=cov)
 
     def updated(self, positions: FloatArray, visible: BoolArray) -> tuple[KinematicBank, float]:
         """Take measured positions [m], shape (markers, 3), of the visible ones, (markers,).
@@ -65,7 +62,7 @@ class KinematicBank:
         """
         seen = np.isfinite(self.cov[:, 0, 0])
         known, new = np.flatnonzero(visible & seen), np.flatnonzero(visible & ~seen)
-        mean, cov, order = self.mean.copy(), self.cov.copy(), self.mean.shape[1]
+        mean, cov, order = self.mean.copy(), self.cov.copy(), self.motion.order
         residual, before = positions[known] - mean[known, 0], cov[known]
         total = before[:, 0, 0] + self.variance
         gain = before[:, :, 0] / total[:, None]
