@@ -77,6 +77,7 @@ def build_mass_spring(
     compression = dict.fromkeys(stiffness, model.compression)
     if model.compression_flexion >= 0:
         compression['flexion'] = model.compression_flexion
+    rest_length = (1.0 - model.prestretch) * rest_length
     springs = mesh_springs(joined.families, rest_length, stiffness, model.damping, compression)
     mass = np.full(layout.nodes, model.mass / layout.nodes)
     air = air_around(config, layout)

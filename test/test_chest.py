@@ -19,7 +19,7 @@ FOUND_ON = 1154
 @pytest.mark.parametrize(
     ('how', 'most'),
     # of the error of the better kinematic filter, at the noise that serves it best on these very
-    # frames; the whole second half has 0.95 and 0.76
+    # frames; the whole second half has 0.93 and 0.72
     [(Degradation(), 1.0), (Degradation(drop=0.3, burst=0.3), 0.85)],
     ids=['all markers', 'bursts'],
 )

@@ -63,7 +63,7 @@ def grid_springs(
 ) -> Springs:
     """Springs of a grid at rest in `shape` [m], shape (rows * cols, 3).
 
-    stiffness [N/m] by spring family; damping [N s/m] of every spring.
+    stiffness [N/m] by spring family; damping [N s/m] of every spring that there is.
     """
     families = grid_pairs(rows, cols)
     pairs = np.concatenate(list(families.values()))
@@ -80,6 +80,9 @@ def mesh_springs(
 ) -> Springs:
     """Springs of any mesh: node pairs by family, each of shape (springs, 2).
 
+    A family without stiffness has no damper either, but for the structural one: neighbours may
+    share their velocity alone, as the parts of a viscous body do.
+
     rest_length [m], shape (all springs,), of the families in turn; the others as in
     `grid_springs`, `compression` also by family.
     """
@@ -91,7 +94,11 @@ def mesh_springs(
         np.concatenate([np.full(len(p), values[name]) for name, p in families.items()])
         for values in (stiffness, share)
     )
-    return Springs(pairs, k, np.full(len(pairs), damping), rest_length, less)
+    damped = np.repeat(
+        [stiffness[name] > 0 or name == 'structural' for name in families],
+        [len(p) for p in families.values()],
+    )
+    return Springs(pairs, k, damping * damped, rest_length, less)
 
 
 def _pairs(rows: int, cols: int, offsets: tuple[tuple[int, int], ...]) -> IntArray:
