@@ -69,6 +69,12 @@ def spread(now: Start, cov: FloatArray, horizon: float) -> FloatArray:
     return covariance
 
 
+def uncertainty(now: Start) -> float:
+    """Root mean square of the sigma of a coordinate [m] of the free markers."""
+    known = now.belief.marginals(now.layout.rows)
+    return float(np.sqrt(np.trace(known, axis1=1, axis2=2).mean() / 3.0))
+
+
 def split(duration: float, longest: float) -> tuple[int, float]:
     """Number and length [s] of equal steps no longer than `longest` [s], but for rounding."""
     steps = ceil(duration / longest - 1e-6)

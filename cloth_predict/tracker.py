@@ -10,7 +10,7 @@ import numpy as np
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
 from cloth_predict.limits import Health, judge, require_certain, spread
-from cloth_predict.motion import NANOSECONDS, ahead, surface
+from cloth_predict.motion import NANOSECONDS, ahead, surface, uncertainty
 from cloth_predict.rewind import Entry, Memory
 from cloth_predict.starting import Start, Starter
 from cloth_predict.topology import NO_TRIANGLES
@@ -141,7 +141,7 @@ class Tracker:
         except FloatingPointError:
             self.counts['diverged'] += 1
             return self._restart(frame)
-        if frame.stamp - track.good > self.config.association.patience * NANOSECONDS:
+        if self._is_lost(memory.latest.track, track, frame):
             start = self._starter.offer(*frame)
             if start is not None:
                 self.counts['lost'] += 1
@@ -149,6 +149,18 @@ class Tracker:
         memory.add(Entry(frame, track, step))
         self._count(step, 1)
         return step
+
+    def _is_lost(self, before: Track, after: Track, frame: Frame) -> bool:
+        """Whether most markers have been elsewhere for long, or are back after a long absence.
+
+        What is believed after such an absence is no guess to find the markers by.
+        """
+        patience = self.config.association.patience * NANOSECONDS
+        if after.stamp - after.good > patience:
+            return True
+        back = 2 * (frame.visible.sum() + len(frame.points)) > self.nodes
+        absent = np.median(before.stamp - before.last) > patience
+        return bool(back and absent and uncertainty(before.now) > self.config.limits.sigma_error)
 
     def _late(self, memory: Memory, frame: Frame) -> Step:
         """Put a late frame in its place, where it is not too late and not there already."""
