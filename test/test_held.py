@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from references import Linear, kalman_predict, kalman_update, random_surface, trapezoid
+from references import Linear, kalman_update, random_surface
 
 from cloth_predict.filters import held
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
@@ -57,9 +57,9 @@ def test_until_it_is_settled_it_is_the_exact_filter(chain):
         np.testing.assert_array_equal(resting.cov, exact.cov)
 
 
-def test_while_what_is_seen_changes_it_is_the_exact_filter(chain):
+def test_while_a_marker_is_gone_it_is_the_exact_filter(chain):
     def seen(k):
-        return (0, 1, 2) if k % 7 else (0, 2)
+        return (0, 1, 2) if k % 24 > 6 else (0, 2)  # gone for 7 frames, seen for 17
 
     for resting, exact in zip(
         run(HeldCovariance(EXACT, 4), chain, 80, seen), run(EXACT, chain, 80, seen), strict=True
@@ -91,7 +91,7 @@ def test_in_the_steady_state_it_is_the_exact_filter_again(chain):
 def test_the_mean_moves_at_every_frame_with_the_gain_of_what_it_sees(chain):
     estimator = HeldCovariance(EXACT, 4)
     belief = run(estimator, chain, 42, lambda k: (0, 1, 2))[-1]
-    assert belief.same % 4 == 1  # the next step rests
+    assert belief.even % 4 == 2  # the next step rests
     predicted = estimator.predict(belief, chain, NO_INPUT, Q, DT)
     F = ImplicitEuler().step_jac(chain, belief.mean, NO_INPUT, DT)[1]
     np.testing.assert_allclose(predicted.mean, F @ belief.mean, atol=1e-15)  # rounding
@@ -103,9 +103,9 @@ def test_the_mean_moves_at_every_frame_with_the_gain_of_what_it_sees(chain):
     x, P = kalman_update(predicted.mean, belief.prior, H, 1e-6 * np.eye(3), z)
     np.testing.assert_allclose(found.mean, x, atol=1e-12)  # rounding, condition of S below 1e3
     np.testing.assert_allclose(found.cov, P, atol=1e-12)  # the same
-    moved = estimator.predict(found, chain, NO_INPUT, Q, DT)  # another marker was seen: it moves
-    expected = kalman_predict(found.mean, P, F, trapezoid(F, DT * Q))[1]
-    np.testing.assert_allclose(moved.cov, expected, atol=1e-12)  # the same
+    # a marker that is missed for a frame or two is not gone
+    again = estimator.predict(found, chain, NO_INPUT, Q, DT)
+    np.testing.assert_array_equal(again.cov, belief.prior)
 
 
 def test_it_rests_in_all_but_every_fourth_frame(chain, monkeypatch):
@@ -117,13 +117,13 @@ def test_it_rests_in_all_but_every_fourth_frame(chain, monkeypatch):
         return exact(self, *arguments)
 
     monkeypatch.setattr(held.ExtendedKalmanFilter, 'predict', counted)
-    run(HeldCovariance(EXACT, 4), chain, SETTLED + 81, lambda k: (0, 1))
-    assert len(calls) == SETTLED + 1 + 20
+    run(HeldCovariance(EXACT, 4), chain, SETTLED + 81, lambda k: (0, 1) if k % 3 else (0,))
+    assert len(calls) == SETTLED + 1 + 20  # though every third frame misses a marker
 
 
 def test_a_belief_cannot_be_written_to_and_can_be_repaired(chain):
     belief = run(HeldCovariance(EXACT, 4), chain, 40, lambda k: (0, 1))[-1]
-    for array in (belief.mean, belief.cov, belief.prior):
+    for array in (belief.mean, belief.cov, belief.prior, belief.last):
         with pytest.raises(ValueError, match='read-only'):
             array.flat[0] = 1.0
     assert replace(belief, cov=np.eye(18)).prior is not None

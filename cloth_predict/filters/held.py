@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.types import (
@@ -21,8 +19,10 @@ from cloth_predict.types import (
 )
 
 SETTLED = 30
-"""Frames that have to see the same markers before the covariance may rest: by then that of an
-unknown start, or of a marker that is back, has come down."""
+"""Frames from the start, or from a marker's return, until the covariance may rest: by then that of
+what was unknown has come down."""
+MISSED = 5
+"""Frames in a row that may miss a marker without its being taken for gone."""
 ALIKE = 0.5
 """Share by which an interval between frames may differ from the one that the covariance knows."""
 
@@ -31,19 +31,23 @@ ALIKE = 0.5
 class HeldGaussian(Gaussian):
     """A belief that knows the covariance before its last measurement, shape (dim_x, dim_x).
 
-    rows: what that measurement saw; dt [s]: the step that led to it; same: how many frames before
-    it saw the same; measured: whether it came after the last step.
+    frame: number of measurements; last, shape (dim_x,): the one that saw each state last, -1 where
+    none ever did; even: how many in a row missed nothing for long; dt [s]: the step before the
+    last one at which the covariance moved; measured: whether a measurement came after the last
+    step.
     """
 
     prior: FloatArray
-    rows: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.int64))
+    last: IntArray
+    frame: int = 0
+    even: int = 0
     dt: float = 0.0
-    same: int = 0
     measured: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, 'prior', read_only(self.prior))
+        for name in ('prior', 'last'):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 @dataclass(frozen=True)
@@ -51,8 +55,9 @@ class HeldCovariance:
     """Moves the mean at every frame, and the covariance at every `frames`-th one.
 
     In between the covariance before a measurement is taken to be what it was last time, as it is
-    in a steady state; the gain still is that of the markers seen. It rests only while the same
-    markers stay in view at an even rate: what is hidden grows uncertain as in the exact filter.
+    in a steady state; the gain still is that of the markers seen. It rests only while frames come
+    at an even rate and no marker is gone for long: what is hidden grows uncertain as in the exact
+    filter.
     A covariance that follows every turn of springs between taut and slack is not only dearer but
     makes worse predictions.
     """
@@ -64,7 +69,7 @@ class HeldCovariance:
         self, prior: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray
     ) -> HeldGaussian:
         """Belief before the first measurement: the prior."""
-        return HeldGaussian(prior.mean, prior.cov, prior.cov)
+        return HeldGaussian(prior.mean, prior.cov, prior.cov, np.full(len(prior.mean), -1))
 
     def predict(
         self, belief: HeldGaussian, model: Dynamics, u: FloatArray, q: FloatArray, dt: float
@@ -81,9 +86,13 @@ class HeldCovariance:
     ) -> tuple[HeldGaussian, Innovation]:
         """Belief given z, and what was learnt."""
         after, innovation = self.ekf.update(belief, obs, z)
-        rows = np.asarray(obs.jac(belief.mean))
-        same = belief.same + 1 if np.array_equal(rows, belief.rows) else 0
-        held = HeldGaussian(after.mean, after.cov, belief.cov, rows, belief.dt, same, True)
+        last, frame = belief.last.copy(), belief.frame + 1
+        last[np.asarray(obs.jac(belief.mean))] = frame
+        gone = ((last >= 0) & (last < frame - MISSED)).any()
+        even = 0 if gone else belief.even + 1
+        held = HeldGaussian(
+            after.mean, after.cov, belief.cov, last, frame, even, belief.dt, measured=True
+        )
         return held, innovation
 
     def forecast(
@@ -99,7 +108,5 @@ class HeldCovariance:
         return self.ekf.forecast(belief, model, inputs, q, dt, rows)
 
     def _rests(self, belief: HeldGaussian, dt: float) -> bool:
-        settled = belief.measured and belief.same >= SETTLED
-        return (
-            settled and bool(belief.same % self.frames) and abs(dt - belief.dt) < ALIKE * belief.dt
-        )
+        settled = belief.measured and belief.even > SETTLED and belief.even % self.frames != 1
+        return settled and abs(dt - belief.dt) < ALIKE * belief.dt
