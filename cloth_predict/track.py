@@ -167,9 +167,15 @@ def _allowance(track: Track, frame: Frame, config: Config) -> FloatArray:
     """
     settings = config.association
     unseen = (frame.stamp - track.last) / NANOSECONDS
-    nearest = config.model.refine * track.now.mesh.springs.rest_length.min()
-    widest = nearest / limit_of(settings.gate) ** 0.5
-    slack = np.minimum(settings.slack + settings.drift * unseen, max(widest, settings.slack))
+    springs = track.now.mesh.springs
+    nearest = np.full(track.now.mesh.nodes, np.inf)
+    np.minimum.at(nearest, springs.pairs, springs.rest_length[:, None])
+    widest = (
+        config.model.refine * nearest[track.now.layout.markers] / limit_of(settings.gate) ** 0.5
+    )
+    slack = np.minimum(
+        settings.slack + settings.drift * unseen, np.maximum(widest, settings.slack)
+    )
     variance = slack**2 + config.filter.measurement_noise**2
     return np.asarray(variance[:, None, None] * np.eye(3))
 
