@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
+from filterpy.kalman import MerweScaledSigmaPoints
 
 from cloth_predict.filters.ahead import run_ahead
 from cloth_predict.filters.linear import condition, root, spread, symmetric
@@ -30,9 +30,8 @@ class SigmaPointFilter:
     Gaussian. alpha = 1, beta = 0 weighs the mean with nothing: the cubature filter, on 2 n points
     (Arasaratnam & Haykin 2009).
 
-    The points are filterpy's, which a test holds to 1e-9. They are formed here because filterpy's
-    own loop over them, and the sums around a large weight of the mean, cost time and digits:
-    here all sums are of differences to the first point.
+    The points are filterpy's; its filters are not used, because their sums around a large weight
+    of the mean cost digits, where here all sums are of differences to the first point.
 
     No derivative is needed, but every `predict` takes one step of the model per point: with 16
     free nodes and smooth forces n = 192, so 385 steps in place of the EKF's one.
@@ -69,16 +68,15 @@ class SigmaPointFilter:
         self, mean: FloatArray, cov: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Points around the mean, (points, dim_x), and their weights for mean and covariance."""
-        n = len(mean)
-        scale = self.alpha**2 * n
-        sides = sqrt(scale) * root(cov, 'covariance').T
-        centre = 1.0 - 1.0 / self.alpha**2
-        weights = np.full(2 * n + 1, 0.5 / scale)
-        mean_weights, cov_weights = weights.copy(), weights
-        mean_weights[0], cov_weights[0] = centre, centre + 1.0 - self.alpha**2 + self.beta
-        points = mean + np.concatenate([np.zeros((1, n)), sides, -sides])
-        weighted = slice(0 if mean_weights[0] or cov_weights[0] else 1, None)
-        return points[weighted], mean_weights[weighted], cov_weights[weighted]
+        made = MerweScaledSigmaPoints(
+            len(mean),
+            self.alpha,
+            self.beta,
+            kappa=0.0,
+            sqrt_method=lambda scaled: root(scaled, 'covariance').T,
+        )
+        weighted = slice(0 if made.Wm[0] or made.Wc[0] else 1, None)
+        return made.sigma_points(mean, cov)[weighted], made.Wm[weighted], made.Wc[weighted]
 
     def update(
         self, belief: Gaussian, obs: Observation, z: FloatArray
