@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from cloth_predict import simulate as simulation
 from cloth_predict.cases import case_of, split
 from cloth_predict.config import Config
 from cloth_predict.degrade import NOTHING, Degradation, degraded
-from cloth_predict.errors import FormatError, FrameError
+from cloth_predict.errors import ClothPredictWarning, ConfigError, FormatError, FrameError
 from cloth_predict.evaluation import Evaluation, compare, pooled
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.formats.bag import BagWriter, create_bag, write_recording
@@ -103,9 +104,17 @@ class Ladder:
     degradation: Degradation = NOTHING
 
     def methods(self, config: Config) -> dict[str, Make]:
-        """Return the methods by name."""
+        """Return the methods by name.
+
+        Raises ConfigError for a filter that does not work with the configuration; of all filters
+        it leaves those out, with a warning.
+        """
         kinds = FILTERS if 'all' in self.filters else self.filters or [config.filter.kind]
-        return methods(kinds)
+        for lack in [lack for kind in kinds if (lack := configuration.misfit(config, kind))]:
+            if 'all' not in self.filters:
+                raise ConfigError(lack)
+            warnings.warn(lack, ClothPredictWarning, stacklevel=2)
+        return methods(kind for kind in kinds if not configuration.misfit(config, kind))
 
 
 def evaluate(

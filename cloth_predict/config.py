@@ -25,6 +25,8 @@ FEWEST_NODES = {'edges': 2, 'delaunay': 3}
 """By topology."""
 NEEDS_A_MARKER_PER_NODE = ('fixed_gain', 'recursive_least_squares')
 """Filters that lose a node which is never seen: its covariance grows for ever."""
+NEEDS_A_FORCE_PER_NODE = ('fixed_gain', 'reduced_rank')
+"""Filters whose covariances are those of a node with a force of its own."""
 
 
 def param(
@@ -468,6 +470,15 @@ def build(values: dict[str, Any], source: str) -> Config:
     return config
 
 
+def misfit(config: Config, kind: str) -> str:
+    """Return why a kind of filter does not work with the rest of a configuration, or nothing."""
+    if config.model.refine > 1 and kind in NEEDS_A_MARKER_PER_NODE:
+        return f'filter.kind {kind} needs model.refine 1'
+    if config.wind.kind != 'none' and kind in NEEDS_A_FORCE_PER_NODE:
+        return f'filter.kind {kind} needs wind.kind none'
+    return ''
+
+
 def load(path: Path) -> Config:
     """Read a ROS parameter file: the parameters under `/**: ros__parameters:`."""
     try:
@@ -615,13 +626,16 @@ def _flaw_of_edges(nodes: int, flat: tuple[int, ...]) -> str:
 
 
 def _check_together(config: Config, source: str) -> None:
-    if config.model.refine > 1 and config.filter.kind in NEEDS_A_MARKER_PER_NODE:
-        raise ConfigError(f'{source}: filter.kind {config.filter.kind} needs model.refine 1')
+    if lack := misfit(config, config.filter.kind):
+        raise ConfigError(f'{source}: {lack}')
     if len(set(config.labels)) != len(config.labels):
         raise ConfigError(f'{source}: labels: a label is listed twice')
     if len(set(config.horizons)) != len(config.horizons):
         raise ConfigError(f'{source}: horizons: a horizon is listed twice')
     nodes = config.model.count
+    chain = config.model.topology == 'grid' and 1 in config.model.mesh
+    if config.wind.kind != 'none' and (chain or config.model.topology == 'edges'):
+        raise ConfigError(f'{source}: wind.kind: a chain or a list of edges has no normals')
     if config.labels and len(config.labels) != nodes:
         raise ConfigError(
             f'{source}: labels: {len(config.labels)} labels, but {config.model.counted_by} has '

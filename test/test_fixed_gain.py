@@ -277,7 +277,7 @@ def test_a_variance_that_is_not_positive_is_an_error():
 
 def towel(kind, frames, **settings):
     """3-D RMS error [m] 0.1 s ahead and share of coordinates within 2 sigma, of free nodes."""
-    config = load(ROOT / 'config' / 'towel.yaml')
+    config = load(ROOT / 'config' / 'towel_coarse.yaml')
     config = replace(config, filter=replace(config.filter, kind=kind, **settings))
     markers = read_recording(ROOT / 'bags' / 'towel_fan').markers
     tracker, offsets, sigmas = Tracker(config), [], []

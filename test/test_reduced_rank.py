@@ -256,7 +256,7 @@ def test_lifting_and_restricting_are_products_with_b():
 
 def test_markers_hidden_for_a_while_are_led_by_their_neighbours():
     """The towel with each marker hidden for 0.3 s time and again; errors 0.1 s ahead [m]."""
-    config = load(ROOT / 'config' / 'towel.yaml')
+    config = load(ROOT / 'config' / 'towel_coarse.yaml')
     markers = read_recording(ROOT / 'bags' / 'towel_fan').markers
     rng = np.random.default_rng(9)
     errors = {}

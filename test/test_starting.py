@@ -219,7 +219,7 @@ def test_hidden_nodes_at_the_end_of_calibration_are_carried_along():
 # --- markers without labels ------------------------------------------------------------------
 
 
-TOWEL = load(ROOT / 'config' / 'towel.yaml')
+TOWEL = load(ROOT / 'config' / 'towel_coarse.yaml')
 
 
 @pytest.fixture(scope='module')
