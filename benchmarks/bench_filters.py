@@ -18,7 +18,6 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter as Reference
 from matplotlib.figure import Figure
 
-from cloth_predict.assembly import rest_shape
 from cloth_predict.config import Config, build
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.family import FILTERS
@@ -27,6 +26,7 @@ from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_springs
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.performance import one_core
+from cloth_predict.surface.assembly import rest_shape
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import FloatArray, Gaussian
 

@@ -13,11 +13,12 @@ from typing import Any
 
 from tqdm import tqdm
 
-from cloth_predict import __version__, report
+from cloth_predict import __version__
 from cloth_predict import commands as run
 from cloth_predict.config import Config
-from cloth_predict.degrade import Degradation
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
+from cloth_predict.evaluation import report
+from cloth_predict.evaluation.degrade import Degradation
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.performance import one_core
 from cloth_predict.share import find

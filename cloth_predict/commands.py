@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from cloth_predict import config as configuration
 from cloth_predict import simulate as simulation
-from cloth_predict.cases import case_of, split
 from cloth_predict.config import Config
-from cloth_predict.degrade import NOTHING, Degradation, degraded
 from cloth_predict.errors import ClothPredictWarning, ConfigError, FormatError, FrameError
-from cloth_predict.evaluation import Evaluation, compare, pooled
+from cloth_predict.evaluation.cases import case_of, split
+from cloth_predict.evaluation.compare import Evaluation, compare, pooled
+from cloth_predict.evaluation.degrade import NOTHING, Degradation, degraded
+from cloth_predict.evaluation.predictors import Make, methods
+from cloth_predict.evaluation.report import report
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.formats.bag import BagWriter, create_bag, write_recording
 from cloth_predict.formats.pointcloud import encode_markers, encode_surface
 from cloth_predict.formats.recording import read
-from cloth_predict.predictors import Make, methods
-from cloth_predict.report import report
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import MarkerSequence
 

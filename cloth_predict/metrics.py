@@ -8,7 +8,7 @@ from math import nan
 
 import numpy as np
 
-from cloth_predict.bootstrap import Interval, Part, paired, ratio_interval, rms_interval
+from cloth_predict.evaluation.bootstrap import Interval, Part, paired, ratio_interval, rms_interval
 from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
 
 BINS = 3

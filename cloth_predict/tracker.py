@@ -9,12 +9,12 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
-from cloth_predict.limits import Health, judge, require_certain, spread
-from cloth_predict.motion import NANOSECONDS, ahead, surface, uncertainty
-from cloth_predict.rewind import Entry, Memory
-from cloth_predict.starting import Start, Starter
-from cloth_predict.topology import NO_TRIANGLES
-from cloth_predict.track import Frame, Step, Track, begin, follow
+from cloth_predict.surface.starting import Start, Starter
+from cloth_predict.surface.topology import NO_TRIANGLES
+from cloth_predict.tracking.limits import Health, judge, require_certain, spread
+from cloth_predict.tracking.motion import NANOSECONDS, ahead, surface, uncertainty
+from cloth_predict.tracking.rewind import Entry, Memory
+from cloth_predict.tracking.track import Frame, Step, Track, begin, follow
 from cloth_predict.types import BoolArray, FloatArray, IntArray, Surface
 
 __all__ = ['NANOSECONDS', 'Step', 'Tracker']

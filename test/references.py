@@ -14,7 +14,7 @@ from cloth_predict.integrators import DenseTangent
 from cloth_predict.models.air import Air
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs, grid_pairs
-from cloth_predict.topology import grid_triangles
+from cloth_predict.surface.topology import grid_triangles
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
 

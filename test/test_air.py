@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.models.air import Air
 from cloth_predict.simulate import vertex_areas
-from cloth_predict.topology import grid_triangles
+from cloth_predict.surface.topology import grid_triangles
 
 STILL = np.zeros((12, 3))
 

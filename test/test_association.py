@@ -8,13 +8,13 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from cloth_predict.assembly import rest_shape
-from cloth_predict.association import in_node_order, limit_of, match
 from cloth_predict.config import build, load
 from cloth_predict.errors import FrameError
 from cloth_predict.formats.recording import read
-from cloth_predict.identification import Expected, Identified, identify
-from cloth_predict.matching import find_grid, lattice_angle
+from cloth_predict.markers.association import in_node_order, limit_of, match
+from cloth_predict.markers.identification import Expected, Identified, identify
+from cloth_predict.markers.matching import find_grid, lattice_angle
+from cloth_predict.surface.assembly import rest_shape
 
 NO_POINTS = np.zeros((0, 3))
 ROOT = Path(__file__).parents[1]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cloth_predict.cases import case_of, points_of, split
 from cloth_predict.config import Config, build
 from cloth_predict.errors import FormatError
+from cloth_predict.evaluation.cases import case_of, points_of, split
 from cloth_predict.formats.bag import Recording, Truth
 from cloth_predict.types import FloatArray, MarkerSequence
 

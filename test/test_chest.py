@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloth_predict.cases import labelled_case
 from cloth_predict.config import load
-from cloth_predict.degrade import Degradation, degraded
-from cloth_predict.evaluation import compare
+from cloth_predict.evaluation.cases import labelled_case
+from cloth_predict.evaluation.compare import compare
+from cloth_predict.evaluation.degrade import Degradation, degraded
 from cloth_predict.types import MarkerSequence
 
 ROOT = Path(__file__).parents[1]

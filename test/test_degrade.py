@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cloth_predict.cases import Case, labelled_case
 from cloth_predict.config import build
-from cloth_predict.degrade import Degradation, degraded, drops, long_gaps, swapped
+from cloth_predict.evaluation.cases import Case, labelled_case
+from cloth_predict.evaluation.degrade import Degradation, degraded, drops, long_gaps, swapped
 from cloth_predict.types import MarkerSequence
 
 CONFIG = build({'model': {'rows': 2, 'cols': 3}}, 'test')

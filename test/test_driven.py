@@ -5,9 +5,9 @@ import pytest
 from references import KinematicTrack, random_surface
 
 from cloth_predict.config import build
-from cloth_predict.driven import DrivenNodes
 from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.models.disturbed import Disturbed
+from cloth_predict.surface.driven import DrivenNodes
 
 DT = 0.01
 

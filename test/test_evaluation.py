@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from cloth_predict.bootstrap import rms_interval
-from cloth_predict.cases import Reference, ahead, in_order
 from cloth_predict.config import Config, build
 from cloth_predict.errors import FormatError
-from cloth_predict.evaluation import Evaluation, evaluate, summed
+from cloth_predict.evaluation.bootstrap import rms_interval
+from cloth_predict.evaluation.cases import Reference, ahead, in_order
+from cloth_predict.evaluation.compare import Evaluation, evaluate, summed
+from cloth_predict.evaluation.judging import judge
+from cloth_predict.evaluation.predictors import METHODS, Estimated, Hold, Predicted
+from cloth_predict.evaluation.runs import Run
 from cloth_predict.filters.linear import condition
-from cloth_predict.judging import judge
 from cloth_predict.metrics import (
     Score,
     SpeedBin,
@@ -29,8 +31,6 @@ from cloth_predict.metrics import (
     score,
     speeds,
 )
-from cloth_predict.predictors import METHODS, Estimated, Hold, Predicted
-from cloth_predict.runs import Run
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import BoolArray, FloatArray, Gaussian, IntArray, MarkerSequence
 

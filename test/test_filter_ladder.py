@@ -25,12 +25,12 @@ from references import (
 )
 from scipy.stats import chi2
 
-from cloth_predict.assembly import rest_shape
 from cloth_predict.config import FilterConfig, build
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.observations import VisiblePositions
+from cloth_predict.surface.assembly import rest_shape
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import Gaussian
 

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from cloth_predict.assembly import build_mass_spring, rest_shape
 from cloth_predict.config import build
-from cloth_predict.forces import (
+from cloth_predict.models.disturbed import Disturbed
+from cloth_predict.surface.assembly import build_mass_spring, rest_shape
+from cloth_predict.surface.forces import (
     alike,
     disturbed,
     force_variances,
     process_noise,
     unknown_parts,
 )
-from cloth_predict.layout import lay_out
-from cloth_predict.models.disturbed import Disturbed
-from cloth_predict.topology import grid
+from cloth_predict.surface.layout import lay_out
+from cloth_predict.surface.topology import grid
 
 
 def windy(refine=2, force='none', **wind):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from references import even_surface, random_covariance, selection, state_jacobian
 
-from cloth_predict.assembly import rest_shape
 from cloth_predict.config import build
-from cloth_predict.evaluation import evaluate
+from cloth_predict.evaluation.compare import evaluate
+from cloth_predict.evaluation.predictors import methods
 from cloth_predict.filters.gomes2016 import Gomes2016
 from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.predictors import methods
+from cloth_predict.surface.assembly import rest_shape
 from cloth_predict.types import Gaussian, MarkerSequence
 
 SIGMA, DT = 1e-3, 0.01

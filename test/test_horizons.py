@@ -9,7 +9,7 @@ import pytest
 
 from cloth_predict.config import Config, ProjectorConfig, build
 from cloth_predict.errors import ConfigError
-from cloth_predict.horizons import FEWEST, FRAMES, PipelineDelay, topics
+from cloth_predict.tracking.horizons import FEWEST, FRAMES, PipelineDelay, topics
 
 AUTO = Config(horizon=0.1, horizon_mode='auto', projector=ProjectorConfig(delay=0.02))
 

@@ -8,9 +8,9 @@ from references import KinematicTrack, kalman_predict, kalman_update, noise_over
 from scipy.linalg import expm
 
 from cloth_predict.config import build
+from cloth_predict.evaluation.predictors import BASELINES, Hold, Kinematic
 from cloth_predict.filters.kinematic import POLYNOMIALS, swing
 from cloth_predict.filters.kinematic_bank import KinematicBank
-from cloth_predict.predictors import BASELINES, Hold, Kinematic
 from cloth_predict.types import FloatArray
 
 SIGMA, DENSITY, MARKERS = 1e-3, 3.0, 5

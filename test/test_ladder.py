@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from cloth_predict.baselines import best_noise
-from cloth_predict.bootstrap import ratio_interval, rms_interval
-from cloth_predict.cases import labelled_case
 from cloth_predict.config import Config, build
-from cloth_predict.degrade import Degradation, degraded
-from cloth_predict.evaluation import Evaluation, compare, evaluate, pooled
-from cloth_predict.judging import Judged
+from cloth_predict.evaluation.baselines import best_noise
+from cloth_predict.evaluation.bootstrap import ratio_interval, rms_interval
+from cloth_predict.evaluation.cases import labelled_case
+from cloth_predict.evaluation.compare import Evaluation, compare, evaluate, pooled
+from cloth_predict.evaluation.degrade import Degradation, degraded
+from cloth_predict.evaluation.judging import Judged
+from cloth_predict.evaluation.predictors import BASELINES, Kinematic, methods
 from cloth_predict.metrics import normalised, ratio
-from cloth_predict.predictors import BASELINES, Kinematic, methods
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
 DT = 0.01

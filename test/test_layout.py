@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
-from cloth_predict.assembly import (
+from cloth_predict.config import build, load, parse_yaml
+from cloth_predict.errors import ConfigError
+from cloth_predict.formats.bag import read_recording
+from cloth_predict.surface.assembly import (
     BETWEEN,
     build_mass_spring,
     mesh_rest_shape,
@@ -15,13 +18,10 @@ from cloth_predict.assembly import (
     rest_shape,
     topology_of,
 )
-from cloth_predict.config import build, load, parse_yaml
-from cloth_predict.errors import ConfigError
-from cloth_predict.formats.bag import read_recording
-from cloth_predict.layout import lay_out
-from cloth_predict.topology import delaunay, grid
-from cloth_predict.track import Frame, _allowance
+from cloth_predict.surface.layout import lay_out
+from cloth_predict.surface.topology import delaunay, grid
 from cloth_predict.tracker import Tracker
+from cloth_predict.tracking.track import Frame, _allowance
 
 ROOT = Path(__file__).parents[1]
 MS = 10**6

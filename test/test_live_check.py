@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloth_predict import live_check
 from cloth_predict.config import Config, load
-from cloth_predict.evaluation import evaluate
+from cloth_predict.evaluation.compare import evaluate
+from cloth_predict.evaluation.judging import WARM_UP
+from cloth_predict.evaluation.predictors import METHODS
 from cloth_predict.formats.recording import read
-from cloth_predict.judging import WARM_UP
-from cloth_predict.live_check import ENOUGH, LiveCheck, Realised, warning
-from cloth_predict.predictors import METHODS
+from cloth_predict.tracking import live_check
+from cloth_predict.tracking.live_check import ENOUGH, LiveCheck, Realised, warning
 from cloth_predict.types import BoolArray, FloatArray, MarkerSequence, Surface
 
 ROOT = Path(__file__).parents[1]

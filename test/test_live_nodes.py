@@ -10,14 +10,14 @@ from live_graph import BAG, RELIABLE, TOWEL, Graph, flat, frame, stamps, values
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 
-from cloth_predict import judging
 from cloth_predict.config import load
-from cloth_predict.evaluation import evaluate
+from cloth_predict.evaluation import judging
+from cloth_predict.evaluation.compare import evaluate
+from cloth_predict.evaluation.predictors import METHODS
 from cloth_predict.formats.bag import read_recording
 from cloth_predict.formats.pointcloud import UNLABELLED, decode, encode_surface
 from cloth_predict.nodes._ros import nanoseconds, to_time
 from cloth_predict.nodes.ekf_node import EkfNode
-from cloth_predict.predictors import METHODS
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import MarkerSequence
 

@@ -44,7 +44,7 @@ from cloth_predict.nodes.mocap_replay_node import MocapReplayNode
 from cloth_predict.nodes.projector_node import ProjectorNode
 from cloth_predict.nodes.recorder import TOPICS
 from cloth_predict.projection.pinhole import Pinhole
-from cloth_predict.topology import grid_triangles
+from cloth_predict.surface.topology import grid_triangles
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import MarkerSequence
 

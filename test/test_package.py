@@ -87,19 +87,23 @@ def test_linter_bans_every_ros_package_that_is_a_dependency(manifest):
     assert {name for name in depends if is_ros(name)} <= banned
 
 
-# --- layers: types <- models, integrators, observations <- filters <- tracker <- {cli, nodes}
+# --- layers: types <- models, integrators, observations <- filters <- surface, markers <- tracking
+# <- tracker <- {evaluation, cli, nodes}
 
 ONLY = {
     'types': {'types', 'errors'},
     'errors': {'types', 'errors'},
-    'config': {'types', 'errors'},
+    'config': {'types', 'errors', 'config'},
     'models': {'types', 'errors', 'models'},
     'integrators': {'types', 'errors', 'models'},
     'observations': {'types', 'errors', 'models'},
 }
 NEVER = {
-    'filters': {'tracker', 'cli', 'nodes'},
-    'tracker': {'cli', 'nodes', 'formats'},
+    'filters': {'surface', 'markers', 'tracking', 'tracker', 'evaluation', 'cli', 'nodes'},
+    'surface': {'tracking', 'tracker', 'evaluation', 'cli', 'nodes'},
+    'markers': {'tracking', 'tracker', 'evaluation', 'cli', 'nodes'},
+    'tracking': {'tracker', 'evaluation', 'cli', 'nodes', 'formats'},
+    'tracker': {'evaluation', 'cli', 'nodes', 'formats'},
     'cli': {'cli'},
     'nodes': {'cli'},
 }

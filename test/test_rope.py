@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from references import flat_grid
 
-from cloth_predict.assembly import build_mass_spring, topology_of
-from cloth_predict.cases import case_of
 from cloth_predict.config import build, load
-from cloth_predict.evaluation import compare, pooled
+from cloth_predict.evaluation.cases import case_of
+from cloth_predict.evaluation.compare import compare, pooled
 from cloth_predict.formats.recording import read
 from cloth_predict.models.springs import grid_pairs, mesh_springs
+from cloth_predict.surface.assembly import build_mass_spring, topology_of
 
 ROOT = Path(__file__).parents[1]
 

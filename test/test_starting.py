@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cloth_predict.assembly import lengths_of, rest_shape
-from cloth_predict.calibration import filled_in, median_lengths
 from cloth_predict.config import build, load
 from cloth_predict.formats.recording import read
-from cloth_predict.labelling import follow, label
+from cloth_predict.markers.labelling import follow, label
 from cloth_predict.models.springs import grid_pairs
-from cloth_predict.starting import Starter
-from cloth_predict.topology import delaunay, of_edges
+from cloth_predict.surface.assembly import lengths_of, rest_shape
+from cloth_predict.surface.calibration import filled_in, median_lengths
+from cloth_predict.surface.starting import Starter
+from cloth_predict.surface.topology import delaunay, of_edges
 
 ROOT = Path(__file__).parents[1]
 MS = 10**6
@@ -295,7 +295,7 @@ def test_a_label_is_believed_where_the_shape_has_no_node(towel):
 def test_a_failed_search_is_not_repeated_at_once(towel, monkeypatch):
     calls = []
     monkeypatch.setattr(
-        'cloth_predict.starting.label', lambda *args: calls.append(1) or label(*args)
+        'cloth_predict.surface.starting.label', lambda *args: calls.append(1) or label(*args)
     )
     starter, nothing = Starter(TOWEL), (np.full((20, 3), np.nan), np.zeros(20, bool))
     for k in range(61):

@@ -8,11 +8,12 @@ from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from cloth_predict import figures, topology
-from cloth_predict.assembly import build_mass_spring, complete, lengths_of, topology_of
 from cloth_predict.config import build
 from cloth_predict.errors import FrameError
+from cloth_predict.evaluation import figures
 from cloth_predict.models.springs import grid_pairs
+from cloth_predict.surface import topology
+from cloth_predict.surface.assembly import build_mass_spring, complete, lengths_of, topology_of
 
 
 def settings(kind, nodes, **model):

@@ -8,16 +8,16 @@ import pytest
 from references import KinematicTrack, kalman_update
 from scipy.spatial.transform import Rotation
 
-from cloth_predict.assembly import aligned, build_mass_spring, complete, rest_shape
 from cloth_predict.config import build, load
 from cloth_predict.errors import FrameError
-from cloth_predict.evaluation import evaluate
+from cloth_predict.evaluation.compare import evaluate
+from cloth_predict.evaluation.predictors import METHODS
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.formats.bag import read_recording
 from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.springs import grid_pairs
-from cloth_predict.predictors import METHODS
+from cloth_predict.surface.assembly import aligned, build_mass_spring, complete, rest_shape
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import Gaussian, MarkerSequence
 

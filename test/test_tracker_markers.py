@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from test_tracker import EVERY, MS, content, followed, moving, settings, towel  # noqa: F401
 
-from cloth_predict.association import markers_of_nodes
 from cloth_predict.config import load
 from cloth_predict.errors import FrameError, UncertainError
 from cloth_predict.filters.linear import nearest_positive_definite
 from cloth_predict.formats.recording import read
+from cloth_predict.markers.association import markers_of_nodes
 from cloth_predict.tracker import Tracker
 
 ROOT = Path(__file__).parents[1]

@@ -18,19 +18,20 @@ import numpy as np
 import rclpy
 from rclpy.context import Context
 
-from cloth_predict import commands, config, report
-from cloth_predict.cases import case_of
+from cloth_predict import commands, config
 from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictError
-from cloth_predict.evaluation import Evaluation, summed
+from cloth_predict.evaluation import report
+from cloth_predict.evaluation.cases import case_of
+from cloth_predict.evaluation.compare import Evaluation, summed
+from cloth_predict.evaluation.judging import judge
+from cloth_predict.evaluation.predictors import Predicted, methods
+from cloth_predict.evaluation.runs import Run, follow
 from cloth_predict.formats.bag import create_bag, read_clouds
 from cloth_predict.formats.pointcloud import decode, xyz
 from cloth_predict.formats.recording import read
-from cloth_predict.judging import judge
 from cloth_predict.nodes._ros import spin
 from cloth_predict.nodes.recorder import Recorder
-from cloth_predict.predictors import Predicted, methods
-from cloth_predict.runs import Run, follow
 from cloth_predict.types import FloatArray, IntArray
 
 DISCOVERY = 20.0

@@ -10,15 +10,15 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
-from cloth_predict import live_check
 from cloth_predict.errors import FrameError, UncertainError
 from cloth_predict.formats.pointcloud import decode_markers, encode_surface
-from cloth_predict.horizons import PREDICTION, PipelineDelay, topics
-from cloth_predict.limits import Health
 from cloth_predict.nodes._diagnostics import Diagnostics
 from cloth_predict.nodes._mesh import mesh_marker
 from cloth_predict.nodes._ros import ConfiguredNode, cloud, nanoseconds, run
 from cloth_predict.tracker import Step, Tracker
+from cloth_predict.tracking import live_check
+from cloth_predict.tracking.horizons import PREDICTION, PipelineDelay, topics
+from cloth_predict.tracking.limits import Health
 from cloth_predict.types import Surface
 
 DROPPED = {

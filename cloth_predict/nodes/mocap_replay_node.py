@@ -12,8 +12,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
-from cloth_predict.cases import split
 from cloth_predict.errors import ConfigError
+from cloth_predict.evaluation.cases import split
 from cloth_predict.formats.pointcloud import encode_markers
 from cloth_predict.formats.recording import read
 from cloth_predict.nodes._diagnostics import STEADY, Diagnostics

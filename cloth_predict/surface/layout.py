@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cloth_predict import topology
 from cloth_predict.config import Config
-from cloth_predict.topology import Topology
+from cloth_predict.surface import topology
+from cloth_predict.surface.topology import Topology
 from cloth_predict.types import FloatArray, IntArray, read_only
 
 

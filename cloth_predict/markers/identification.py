@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cloth_predict.association import checked, in_node_order, limit_of, match, squared
+from cloth_predict.markers.association import checked, in_node_order, limit_of, match, squared
 from cloth_predict.types import BoolArray, FloatArray
 
 

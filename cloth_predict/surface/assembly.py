@@ -6,14 +6,14 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from cloth_predict import topology
 from cloth_predict.config import Config, ModelConfig
-from cloth_predict.forces import air_around, force_variances
-from cloth_predict.layout import Layout, lay_out
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import mesh_springs
-from cloth_predict.topology import Topology, adjacency
+from cloth_predict.surface import topology
+from cloth_predict.surface.forces import air_around, force_variances
+from cloth_predict.surface.layout import Layout, lay_out
+from cloth_predict.surface.topology import Topology, adjacency
 from cloth_predict.types import BoolArray, FloatArray, Gaussian, IntArray
 
 LOOSE_END = 1e-3

@@ -13,7 +13,7 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.metrics import at_times
-from cloth_predict.tracker import NANOSECONDS
+from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.types import BoolArray, FloatArray, MarkerSequence, Surface
 
 PENDING = 10_000

@@ -10,9 +10,9 @@ from math import nan
 
 import numpy as np
 
-from cloth_predict.cases import Case
+from cloth_predict.evaluation.cases import Case
+from cloth_predict.evaluation.predictors import Predictor
 from cloth_predict.metrics import at_times, normalised
-from cloth_predict.predictors import Predictor
 from cloth_predict.types import FloatArray
 
 Progress = Callable[[int], None]

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from cloth_predict.motion import NANOSECONDS
-from cloth_predict.track import Frame, Step, Track
+from cloth_predict.tracking.motion import NANOSECONDS
+from cloth_predict.tracking.track import Frame, Step, Track
 
 Follow = Callable[[Track, Frame], tuple[Track, Step]]
 

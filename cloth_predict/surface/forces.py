@@ -6,10 +6,10 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from cloth_predict.config import Config, WindConfig
-from cloth_predict.layout import Layout
 from cloth_predict.models.air import Air
 from cloth_predict.models.disturbed import Disturbed, ForceProcess, Unknown
 from cloth_predict.models.mass_spring import MassSpring
+from cloth_predict.surface.layout import Layout
 from cloth_predict.types import FloatArray
 
 PROCESSES = {

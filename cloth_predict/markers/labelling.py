@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_predict.assembly import lengths_of, rest_shape
-from cloth_predict.association import in_node_order, limit_of, match
 from cloth_predict.config import ModelConfig
 from cloth_predict.errors import FrameError
-from cloth_predict.matching import find_grid
+from cloth_predict.markers.association import in_node_order, limit_of, match
+from cloth_predict.markers.matching import find_grid
+from cloth_predict.surface.assembly import lengths_of, rest_shape
 from cloth_predict.types import BoolArray, FloatArray, IntArray
 
 REACH = 0.4

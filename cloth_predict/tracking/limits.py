@@ -8,7 +8,7 @@ import numpy as np
 
 from cloth_predict.config import LimitsConfig
 from cloth_predict.errors import UncertainError
-from cloth_predict.track import Step
+from cloth_predict.tracking.track import Step
 from cloth_predict.types import IntArray, Surface
 
 

@@ -9,12 +9,12 @@ from math import nan
 
 import numpy as np
 
-from cloth_predict.bootstrap import Part
-from cloth_predict.cases import Reference
 from cloth_predict.errors import FormatError
+from cloth_predict.evaluation.bootstrap import Part
+from cloth_predict.evaluation.cases import Reference
+from cloth_predict.evaluation.runs import Run
 from cloth_predict.metrics import at_times, distances, speeds
-from cloth_predict.runs import Run
-from cloth_predict.tracker import NANOSECONDS
+from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.types import BoolArray, FloatArray, IntArray
 
 WARM_UP = 1.0

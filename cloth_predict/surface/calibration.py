@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cloth_predict.assembly import aligned, lengths_of
-from cloth_predict.topology import Topology
+from cloth_predict.surface.assembly import aligned, lengths_of
+from cloth_predict.surface.topology import Topology
 from cloth_predict.types import BoolArray, FloatArray, IntArray
 
 NEVER = np.iinfo(np.int64).min

@@ -7,8 +7,8 @@ from math import nan
 
 import numpy as np
 
-from cloth_predict.cases import Case, points_of
-from cloth_predict.tracker import NANOSECONDS
+from cloth_predict.evaluation.cases import Case, points_of
+from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
 
 SPARED = 1.0

@@ -10,10 +10,10 @@ from textwrap import wrap
 from typing import Any
 
 from cloth_predict import config as configuration
-from cloth_predict.bootstrap import Interval
 from cloth_predict.config import Config
-from cloth_predict.evaluation import POOLED, Evaluation
-from cloth_predict.judging import FEWEST
+from cloth_predict.evaluation.bootstrap import Interval
+from cloth_predict.evaluation.compare import POOLED, Evaluation
+from cloth_predict.evaluation.judging import FEWEST
 
 WIDTH = 99
 """Characters of a line, so that it fits into a terminal."""
@@ -123,7 +123,7 @@ def report(found: Sequence[Sequence[Evaluation]], config: Config, output: Path) 
     found: of each recording the comparisons at all horizons. Each of several recordings has a
     folder of its own in this one, named after it; what is of all together is here.
     """
-    from cloth_predict import figures  # matplotlib takes half a second to import
+    from cloth_predict.evaluation import figures  # matplotlib takes half a second to import
 
     every = summaries([evaluation for of_bag in found for evaluation in of_bag])
     (output / 'evaluation.json').write_text(json.dumps(every, indent=1) + '\n', encoding='utf-8')
@@ -149,7 +149,7 @@ def _folders(bags: Sequence[str], output: Path) -> list[Path]:
 
 def report_one(evaluation: Evaluation, config: Config, output: Path, suffix: str = '') -> None:
     """Write the tables and the figures of one comparison, and the configuration, into a folder."""
-    from cloth_predict import figures  # matplotlib takes half a second to import
+    from cloth_predict.evaluation import figures  # matplotlib takes half a second to import
 
     (output / 'config.yaml').write_text(configuration.dump(config), encoding='utf-8')
     (output / f'table{suffix}.txt').write_text(table(evaluation) + '\n', encoding='utf-8')

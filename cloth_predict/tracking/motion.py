@@ -8,10 +8,10 @@ from math import ceil
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.driven import DrivenNodes
 from cloth_predict.errors import FrameError
 from cloth_predict.filters.linear import of_groups
-from cloth_predict.starting import Start
+from cloth_predict.surface.driven import DrivenNodes
+from cloth_predict.surface.starting import Start
 from cloth_predict.types import FloatArray, Surface
 
 NANOSECONDS = 1e9

@@ -9,13 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from cloth_predict.baselines import best_noise
-from cloth_predict.cases import Case, labelled_case
 from cloth_predict.config import Config
-from cloth_predict.judging import Judged, judge
-from cloth_predict.metrics import Details, Ratio, Score, by_speed, coverage, mean, ratio, score
-from cloth_predict.predictors import Make, methods
-from cloth_predict.runs import Progress, follow
+from cloth_predict.evaluation.baselines import best_noise
+from cloth_predict.evaluation.cases import Case, labelled_case
+from cloth_predict.evaluation.judging import Judged, judge
+from cloth_predict.evaluation.predictors import Make, methods
+from cloth_predict.evaluation.runs import Progress, follow
+from cloth_predict.metrics import (
+    Details,
+    Ratio,
+    Score,
+    by_speed,
+    coverage,
+    mean,
+    ratio,
+    score,
+)
 from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
 
 SEED = 0

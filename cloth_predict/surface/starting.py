@@ -7,7 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from cloth_predict.assembly import (
+from cloth_predict.config import Config
+from cloth_predict.errors import FrameError
+from cloth_predict.filters.family import build_filter
+from cloth_predict.markers.labelling import follow, label
+from cloth_predict.models.disturbed import Disturbed
+from cloth_predict.models.mass_spring import MassSpring
+from cloth_predict.surface.assembly import (
     build_mass_spring,
     complete,
     first_belief,
@@ -15,17 +21,11 @@ from cloth_predict.assembly import (
     on_mesh,
     topology_of,
 )
-from cloth_predict.calibration import Calibration, Frame, filled_in, median_lengths
-from cloth_predict.config import Config
-from cloth_predict.driven import DrivenNodes
-from cloth_predict.errors import FrameError
-from cloth_predict.filters.family import build_filter
-from cloth_predict.forces import disturbed, process_noise
-from cloth_predict.labelling import follow, label
-from cloth_predict.layout import Layout, lay_out
-from cloth_predict.models.disturbed import Disturbed
-from cloth_predict.models.mass_spring import MassSpring
-from cloth_predict.topology import Topology
+from cloth_predict.surface.calibration import Calibration, Frame, filled_in, median_lengths
+from cloth_predict.surface.driven import DrivenNodes
+from cloth_predict.surface.forces import disturbed, process_noise
+from cloth_predict.surface.layout import Layout, lay_out
+from cloth_predict.surface.topology import Topology
 from cloth_predict.types import Belief, BoolArray, Filter, FloatArray
 
 FEWEST_TO_START = 3

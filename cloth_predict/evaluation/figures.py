@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from cloth_predict.assembly import topology_of
 from cloth_predict.config import ModelConfig
-from cloth_predict.evaluation import Evaluation
+from cloth_predict.evaluation.compare import Evaluation
+from cloth_predict.surface.assembly import topology_of
 from cloth_predict.types import FloatArray, IntArray
 
 mpl.use('Agg')

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from cloth_predict.assembly import aligned
-from cloth_predict.association import checked, in_node_order
-from cloth_predict.chain_matching import find_chain
 from cloth_predict.errors import FrameError
+from cloth_predict.markers.association import checked, in_node_order
+from cloth_predict.markers.chain_matching import find_chain
 from cloth_predict.models.springs import grid_pairs
+from cloth_predict.surface.assembly import aligned
 from cloth_predict.types import FloatArray, IntArray
 
 Schedule: TypeAlias = tuple[tuple[float, float], ...]

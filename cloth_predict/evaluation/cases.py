@@ -7,10 +7,10 @@ from math import nan
 
 import numpy as np
 
-from cloth_predict.association import markers_of_nodes
 from cloth_predict.config import Config
 from cloth_predict.errors import FormatError
 from cloth_predict.formats.bag import Recording
+from cloth_predict.markers.association import markers_of_nodes
 from cloth_predict.tracker import NANOSECONDS, NO_POINTS, Tracker
 from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
 

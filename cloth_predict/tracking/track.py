@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cloth_predict.association import limit_of
 from cloth_predict.config import Config
-from cloth_predict.driven import DrivenNodes
 from cloth_predict.filters.linear import nearest_positive_definite
-from cloth_predict.identification import Expected, Identified, identify, inside, no_points
-from cloth_predict.motion import NANOSECONDS, moved, spread
+from cloth_predict.markers.association import limit_of
+from cloth_predict.markers.identification import Expected, Identified, identify, inside, no_points
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.starting import Start
+from cloth_predict.surface.driven import DrivenNodes
+from cloth_predict.surface.starting import Start
+from cloth_predict.tracking.motion import NANOSECONDS, moved, spread
 from cloth_predict.types import Belief, BoolArray, FloatArray, Gaussian, Innovation, IntArray
 
 DOUBTFUL = 0.1

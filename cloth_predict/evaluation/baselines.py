@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cloth_predict.cases import Case
 from cloth_predict.config import Config
-from cloth_predict.judging import asked_at
-from cloth_predict.predictors import Kinematic
-from cloth_predict.runs import Run, follow
+from cloth_predict.evaluation.cases import Case
+from cloth_predict.evaluation.judging import asked_at
+from cloth_predict.evaluation.predictors import Kinematic
+from cloth_predict.evaluation.runs import Run, follow
 from cloth_predict.types import BoolArray, FloatArray
 
 DECADES = np.arange(-3.0, 3.5, 0.5)

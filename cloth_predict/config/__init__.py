@@ -1,0 +1,43 @@
+"""The configuration: one tree of frozen dataclasses, the only source of defaults.
+
+YAML files, ROS parameters and docs/parameters.md derive from it.
+"""
+
+from cloth_predict.config.build import build, dump, flatten, load, nest, parse_yaml
+from cloth_predict.config.checks import misfit
+from cloth_predict.config.schema import (
+    AnchorsConfig,
+    AssociationConfig,
+    BaselineConfig,
+    Config,
+    FilterConfig,
+    ForceConfig,
+    LimitsConfig,
+    LiveCheckConfig,
+    ModelConfig,
+    ProjectorConfig,
+    ReplayConfig,
+    WindConfig,
+)
+
+__all__ = [
+    'AnchorsConfig',
+    'AssociationConfig',
+    'BaselineConfig',
+    'Config',
+    'FilterConfig',
+    'ForceConfig',
+    'LimitsConfig',
+    'LiveCheckConfig',
+    'ModelConfig',
+    'ProjectorConfig',
+    'ReplayConfig',
+    'WindConfig',
+    'build',
+    'dump',
+    'flatten',
+    'load',
+    'misfit',
+    'nest',
+    'parse_yaml',
+]
