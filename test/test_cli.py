@@ -16,6 +16,8 @@ import pytest
 
 from cloth_predict import __version__, cli, commands
 from cloth_predict.config import load
+from cloth_predict.evaluation.predictors import BASELINES
+from cloth_predict.filters.family import FILTERS
 from cloth_predict.formats.bag import (
     Recording,
     Truth,
@@ -401,6 +403,20 @@ def test_evaluate_writes_a_folder(
     before = load(folder / 'config.yaml')
     run.well('evaluate', bag, '-c', folder / 'config.yaml', '-o', folder, '--json')
     assert load(folder / 'config.yaml') == before
+
+
+def test_evaluate_filters_that_the_configuration_allows(
+    run: Run, bag: Path, parameters: Parameters
+) -> None:
+    config = small(parameters, wind={'kind': 'normal'})
+    line = run.badly('evaluate', bag, '-c', config, '--filters', 'ekf', 'fixed_gain')
+    assert line == 'filter.kind fixed_gain needs wind.kind none'
+    code, out, err = run('evaluate', bag, '-c', config, '--filters', 'all', '--json')
+    assert code == 0
+    left_out = {'fixed_gain', 'reduced_rank'}
+    assert set(json.loads(out)['methods']) == {*BASELINES, *FILTERS} - left_out
+    assert [line.split()[3] for line in err.splitlines()] == sorted(left_out)
+    assert all(line.endswith('needs wind.kind none') for line in err.splitlines())
 
 
 def test_evaluate_several_recordings(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cloth_predict.config import build
+from cloth_predict.errors import ConfigError
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.surface.assembly import build_mass_spring, rest_shape
 from cloth_predict.surface.forces import (
@@ -108,6 +109,19 @@ def test_noise_and_variances_are_those_of_the_processes(force):
     for found, expected in ((noise[mesh.dim_x :], densities), (variance, variances)):
         values = np.concatenate([np.full(count, value) for count, value in expected])
         np.testing.assert_allclose(found, values, rtol=1e-14)  # rounding
+
+
+@pytest.mark.parametrize(
+    ('values', 'message'),
+    [
+        ({'filter': {'kind': 'reduced_rank'}}, 'filter.kind reduced_rank needs wind.kind none'),
+        ({'model': {'rows': 1}}, 'wind.kind: a chain or a list of edges has no normals'),
+    ],
+)
+def test_what_wind_does_not_go_with_is_refused(values, message):
+    with pytest.raises(ConfigError) as error:
+        build({'wind': {'kind': 'normal'}, **values}, 'test')
+    assert str(error.value) == f'test: {message}'
 
 
 def test_without_anything_unknown_the_model_is_the_mesh():

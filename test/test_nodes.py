@@ -342,7 +342,7 @@ def test_replay_pauses_and_resumes(graph, towel, towel_bag):
 
 
 def test_replay_chooses_and_orders_markers_by_label(graph, towel, towel_bag):
-    two = {'model.rows': 1, 'model.cols': 2, 'anchors.nodes': [0]}
+    two = {'model.rows': 1, 'model.cols': 2, 'anchors.nodes': [0], 'wind.kind': 'none'}
     node = replay(graph, towel_bag, labels=['cloth:9', 'cloth:2'], **two)
     graph.until(lambda: node.finished)
     points = decode(graph.heard['markers'][0], ('x', 'y', 'z', 'id')).ravel()
