@@ -22,13 +22,14 @@ from cloth_predict.config import Config, build
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_springs
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.performance import one_core
 from cloth_predict.surface.assembly import rest_shape
 from cloth_predict.tracker import Tracker
-from cloth_predict.types import FloatArray, Gaussian
+from cloth_predict.types import Dynamics, FloatArray, Gaussian
 
 mpl.use('Agg')
 
@@ -53,11 +54,14 @@ def main() -> None:
         print(f'{"":24} ' + ' '.join(f'{p99:8.2f}' for _, p99 in rows_) + '   99 %')
     draw(found, target)
     print(f'figure: {target}')
-    ours, theirs, apart = against_filterpy(*SIZES[-1])
-    print(
-        f'exact EKF of 21x21 nodes without forces: {ours:.2f} s a frame, filterpy {theirs:.2f} s: '
-        f'{theirs / ours:.1f} times; largest difference of a mean [m] or correlation {apart:.1e}'
-    )
+    for forced in (False, True):
+        ours, theirs, apart = against_filterpy(*SIZES[-1], forced)
+        with_ = 'with' if forced else 'without'
+        print(
+            f'exact EKF of 21x21 nodes {with_} forces: {ours:.2f} s a frame, filterpy '
+            f'{theirs:.2f} s: {theirs / ours:.1f} times; largest difference of a mean [m] or '
+            f'correlation {apart:.1e}'
+        )
 
 
 def settings(kind: str, rows: int, cols: int) -> Config:
@@ -119,24 +123,25 @@ def timed(config: Config) -> list[float]:
     return taken[min(20, len(taken) // 3) :]  # without the start
 
 
-def against_filterpy(rows: int, cols: int) -> tuple[float, float, float]:
+def against_filterpy(rows: int, cols: int, forced: bool) -> tuple[float, float, float]:
     """Seconds a frame of ours and of filterpy's EKF on the same problem, and their difference."""
     config = settings('ekf', rows, cols)
     shape = rest_shape(config.model)
     stiffness = {'structural': 60.0, 'shear': 60.0, 'flexion': 60.0}
     mesh = MassSpring(grid_springs(rows, cols, shape, stiffness, 0.1), np.full(len(shape), 0.017))
     markers, size = frames(config, 3), shape.size
-    x = np.append(markers[0].ravel(), np.zeros(size))
-    q, u = np.repeat([0.0, 1.0], size), mesh.input()
+    model = Disturbed(mesh, 0.3) if forced else mesh
+    x = np.append(markers[0].ravel(), np.zeros(model.dim_x - size))
+    q, u = np.repeat([0.0, 1.0, 0.07][: len(x) // size], size), mesh.input()
     obs = VisiblePositions.of_nodes(np.arange(len(shape)), 3e-4)
-    kalman, other = ExtendedKalmanFilter(ImplicitEuler()), Reference(2 * size, size)
-    belief = Gaussian(x, np.diag(np.repeat([1e-7, 0.01], size)))
+    kalman, other = ExtendedKalmanFilter(ImplicitEuler()), Reference(len(x), size)
+    belief = Gaussian(x, np.diag(np.repeat([1e-7, 0.01, 0.01][: len(x) // size], size)))
     other.x, other.P, other.R = x.copy(), belief.cov.copy(), np.diag(obs.cov)
     ours, theirs = [], []
     for z in markers[1:]:
-        taken, belief = seconds(frame, kalman, belief, mesh, u, q, obs, z.ravel())
+        taken, belief = seconds(frame, kalman, belief, model, u, q, obs, z.ravel())
         ours.append(taken)
-        after, F = ImplicitEuler().step_jac(mesh, other.x, u, DT)
+        after, F = ImplicitEuler().step_jac(model, other.x, u, DT)
         other.F, other.Q = F, F @ np.diag(DT * q / 2) @ F.T + np.diag(DT * q / 2)
         theirs.append(seconds(filterpy_frame, other, after, z.ravel())[0])
     sigma = np.sqrt(np.diag(other.P))
@@ -147,14 +152,14 @@ def against_filterpy(rows: int, cols: int) -> tuple[float, float, float]:
 def frame(
     kalman: ExtendedKalmanFilter,
     belief: Gaussian,
-    mesh: MassSpring,
+    model: Dynamics,
     u: FloatArray,
     q: FloatArray,
     obs: VisiblePositions,
     z: FloatArray,
 ) -> Gaussian:
     """One predict and update of ours."""
-    return kalman.update(kalman.predict(belief, mesh, u, q, DT), obs, z)[0]
+    return kalman.update(kalman.predict(belief, model, u, q, DT), obs, z)[0]
 
 
 def filterpy_frame(other: Reference, after: FloatArray, z: FloatArray) -> None:

@@ -54,12 +54,18 @@ class ExtendedKalmanFilter:
         for u in inputs:
             mean, tangent = self.integrator.step_tangent(model, mean, u, dt)
             tangents.append(tangent)
-        # noise acts half before and half after a step: fully between two of them
-        pulled, noise = np.eye(len(mean))[rows.ravel()], 0.5 * dt * q * (len(tangents) > 0)
-        cov = of_groups(pulled, pulled * noise, rows)
-        for left, tangent in reversed(list(enumerate(tangents))):
-            pulled = tangent.pull(pulled)
-            cov += of_groups(pulled, pulled * noise * (2.0 if left else 1.0), rows)
+        pulled = np.zeros((rows.size, len(mean)))
+        pulled[np.arange(rows.size), rows.ravel()] = 1.0
+        driven = np.flatnonzero(q)
+        root = np.sqrt(dt * q[driven])
+        cov = np.zeros((*rows.shape, rows.shape[1]))
+        for tangent in reversed(tangents):
+            # noise acts half before and half after a step: fully between two of them
+            after, pulled = pulled[:, driven] * root, tangent.pull(pulled)
+            cov += of_groups(after, after, rows) * (1.0 if tangent is not tangents[-1] else 0.5)
+        if tangents:
+            before = pulled[:, driven] * root
+            cov += 0.5 * of_groups(before, before, rows)
         return mean, cov + of_groups(pulled, pulled @ belief.cov, rows)
 
     def update(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from cloth_predict.types import FloatArray, Gaussian, Innovation, IntArray, Tangent
 
@@ -43,9 +43,9 @@ def condition(
         return belief, Innovation(residual, innovation_cov, 0.0)
     innovation_cov = innovation_cov + (np.diag(noise) if noise.ndim == 1 else noise)
     lower = root(innovation_cov, 'innovation covariance')
-    both = np.column_stack([cross, residual])
-    white, _ = lapack.dtrtrs(lower, both, lower=1)
-    gain_root, white_residual = white[:, :-1], white[:, -1]
+    # W' = (H P)' L'^-1 in place: the transpose of an array of rows is one of columns to BLAS
+    gain_root = blas.dtrsm(1.0, lower, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1).T
+    white_residual, _ = lapack.dtrtrs(lower, residual, lower=1)
     mean = belief.mean + gain_root.T @ white_residual
     cov = symmetric(belief.cov - gain_root.T @ gain_root)
     nis = float(white_residual @ white_residual)

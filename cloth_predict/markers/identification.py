@@ -74,6 +74,8 @@ def identify(
     doubted = np.flatnonzero(labelled.visible & ~expected.sure)
     error = checked(positions[doubted]) - expected.position[doubted]
     visible[doubted] = inside(error, expected.covariance[doubted], gate)
+    if visible[doubted].all() and not len(points):
+        return labelled
     far, unseen = doubted[~visible[doubted]], np.flatnonzero(~visible)
     pool = np.concatenate([positions[far], checked(points)])
     node = match(expected.position[unseen], expected.covariance[unseen], pool, gate).node

@@ -15,9 +15,6 @@ MOST_DENSE = 240
 """Size up to which matrices are dense: LAPACK does not notice the zeros of so few numbers, while
 each call of a sparse product costs some ten microseconds before it begins."""
 
-MOST_SCATTERED = 100
-"""Number of springs up to which the same holds for adding up their blocks."""
-
 
 class BlockStructure:
     """Where the 3x3 blocks of the springs stand; blocks are arrays of shape (blocks, 9).
@@ -55,8 +52,7 @@ class BlockStructure:
         source = np.concatenate([spring, each[both], each[both]])
         weight = np.repeat([-1.0, 1.0], [len(ends), 2 * both.sum()])
         block, of_triangles = np.split(block[len(free) :], [len(source)])
-        scatter = sparse.csr_array((weight, (block, source)), shape=(len(keys), len(pairs)))
-        self._scatter = scatter.toarray() if len(pairs) <= MOST_SCATTERED else scatter
+        self._scatter = sparse.csr_array((weight, (block, source)), shape=(len(keys), len(pairs)))
         self._of_triangles = sparse.csr_array(
             (np.ones(len(of_triangles)), (of_triangles, np.flatnonzero(inside))),
             shape=(len(keys), inside.size),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from cloth_predict.types import (
     Solver,
     StiffDynamics,
     Tangent,
+    read_only,
 )
 
 
@@ -107,7 +109,13 @@ class Unknown:
 
     def decay(self, dt: float) -> FloatArray:
         """Implicit step (I - dt drift)^-1 of one y and its rates, shape (order, order)."""
-        return np.asarray(np.linalg.inv(np.eye(self.order) - dt * self.process.drift))
+        return _decay(self.process.drift.tobytes(), self.order, dt)
+
+
+@lru_cache(maxsize=64)
+def _decay(drift: bytes, order: int, dt: float) -> FloatArray:
+    matrix = np.frombuffer(drift).reshape(order, order)
+    return np.asarray(read_only(np.linalg.inv(np.eye(order) - dt * matrix)))
 
 
 class Disturbed:
@@ -190,8 +198,11 @@ class Disturbed:
         return load
 
     def stepped(self, x: FloatArray, dt: float, back: bool = False) -> FloatArray:
-        """State whose unknown parts have made an implicit step; or its transpose, applied."""
-        after = x.copy()
+        """Unknown parts after an implicit step, or its transpose, in a state of x's shape.
+
+        The model's own part is left for the caller to fill in.
+        """
+        after = np.empty_like(x)
         for part, at in zip(self.unknown, self.states, strict=True):
             decay = part.decay(dt)
             after[at] = each(decay.T if back else decay, x[at])
@@ -245,11 +256,9 @@ class _Linearised:
 
     def change(self, dt: float, solver: Solver) -> FloatArray:
         """Change of the model under the load, and of the load."""
-        after = self.model.stepped(self.x, dt)
-        change = after - self.x
-        size = self.model.model.dim_x
-        change[:size] = self.inner.change(dt, solver, self.model.load(after))
-        return change
+        after, size = self.model.stepped(self.x, dt), self.model.model.dim_x
+        moved = self.inner.change(dt, solver, self.model.load(after))
+        return np.concatenate([moved, after[size:] - self.x[size:]])
 
     def tangent(self, dt: float, solver: Solver, change: FloatArray) -> _Tangent:
         """Derivative of the step."""

@@ -228,6 +228,14 @@ class _Shape:
     velocity: FloatArray
     normals: Normals | None
 
+    @cached_property
+    def _unit(self) -> FloatArray:
+        return self.offset / self.length[:, None]
+
+    @cached_property
+    def _outer(self) -> FloatArray:
+        return (self._unit[:, :, None] * self._unit[:, None, :]).reshape(-1, 9)
+
     def stiffness(self, springs: Springs, clamp: bool) -> FloatArray:
         """One block k [(1 - r/l)(I - n n') + n n'] per spring, (springs, 9) (Gomes, eq. 3.20)."""
         geometric = 1.0 - springs.rest_length / self.length
@@ -235,8 +243,7 @@ class _Shape:
             geometric = np.maximum(geometric, 0.0)
         k = springs.stiffness_at(self.length)
         across = k * geometric
-        scaled = self.offset * ((k - across) / self.length**2)[:, None]
-        blocks = (scaled[:, :, None] * self.offset[:, None, :]).reshape(-1, 9)
+        blocks = self._outer * (k - across)[:, None]
         blocks[:, ::4] += across[:, None]
         return blocks
 
@@ -246,7 +253,7 @@ class _Shape:
         Stretched: k r / l^2 [(n.w) T + n t' + t n'] with T = I - n n', t = T w; compressed, where
         the block is k n n': k / l [(n.w) T + n t'].
         """
-        n = self.offset / self.length[:, None]
+        n = self._unit
         along = np.einsum('si,si->s', n, w)
         t = w - along[:, None] * n
         taut = self.length > springs.rest_length

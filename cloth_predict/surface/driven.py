@@ -54,7 +54,8 @@ class DrivenNodes:
 
     def advance(self, dt: float) -> None:
         """Move on by dt [s]."""
-        self._bank = self._bank.moved(dt)
+        if len(self.nodes):
+            self._bank = self._bank.moved(dt)
 
     def update(self, positions: FloatArray, visible: BoolArray) -> None:
         """Take the measured positions [m], shape (nodes, 3), of the visible ones, (nodes,)."""
@@ -64,6 +65,9 @@ class DrivenNodes:
     def extrapolate(self, ahead: float) -> FloatArray:
         """Positions [m], velocities and accelerations after `ahead` [s], shape (3, driven, 3)."""
         derivatives = np.zeros((3, len(self.nodes), 3))
+        if not self._moving:
+            derivatives[0] = self._bank.mean[:, 0]
+            return derivatives
         derivatives[: self._bank.motion.order] = self._bank.mean_at(ahead).transpose(1, 0, 2)
         return derivatives
 
@@ -98,4 +102,4 @@ class DrivenNodes:
 
     def variances(self, ahead: float) -> FloatArray:
         """Variance [m^2] of a coordinate of the positions after `ahead` [s], shape (driven,)."""
-        return self._bank.ahead(ahead)[1]
+        return self._bank.ahead(ahead)[1] if len(self.nodes) else np.zeros(0)

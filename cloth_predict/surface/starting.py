@@ -52,6 +52,8 @@ class Start:
     belief: Belief
     topology: Topology
     layout: Layout
+    nearest: FloatArray
+    """Distance [m] of each marker from its nearest neighbour at rest, shape (markers,)."""
 
     def input(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Input for positions [m] and velocities [m/s] of the driven markers, (driven, 3)."""
@@ -216,6 +218,14 @@ def _built(
     chosen = build_filter(config, mesh)
     prior = first_belief(config, mesh, model, *on_mesh(layout, surface, spread))
     held = nodes.extrapolate(0.0)
-    now = Start(mesh, model, noise, chosen, nodes, prior, joined, layout)
+    nearest = config.model.refine * nearest_of(mesh)[layout.markers]
+    now = Start(mesh, model, noise, chosen, nodes, prior, joined, layout, nearest)
     belief = chosen.start(prior, model, now.input(held[0], held[1]), noise)
     return replace(now, belief=belief)
+
+
+def nearest_of(mesh: MassSpring) -> FloatArray:
+    """Length [m] of the shortest spring of each node, shape (nodes,); infinite without any."""
+    nearest = np.full(mesh.nodes, np.inf)
+    np.minimum.at(nearest, mesh.springs.pairs, mesh.springs.rest_length[:, None])
+    return nearest

@@ -167,12 +167,7 @@ def _allowance(track: Track, frame: Frame, config: Config) -> FloatArray:
     """
     settings = config.association
     unseen = (frame.stamp - track.last) / NANOSECONDS
-    springs = track.now.mesh.springs
-    nearest = np.full(track.now.mesh.nodes, np.inf)
-    np.minimum.at(nearest, springs.pairs, springs.rest_length[:, None])
-    widest = (
-        config.model.refine * nearest[track.now.layout.markers] / limit_of(settings.gate) ** 0.5
-    )
+    widest = track.now.nearest / limit_of(settings.gate) ** 0.5
     slack = np.minimum(
         settings.slack + settings.drift * unseen, np.maximum(widest, settings.slack)
     )
