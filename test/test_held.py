@@ -121,6 +121,31 @@ def test_it_rests_in_all_but_every_fourth_frame(chain, monkeypatch):
     assert len(calls) == SETTLED + 1 + 20  # though every third frame misses a marker
 
 
+def test_the_covariance_of_a_prediction_rests_as_well(chain):
+    estimator, rows = HeldCovariance(EXACT, 4), np.array([[0, 1, 2], [6, 7, 8]])
+
+    def ahead(filter_, belief, steps=3):
+        return filter_.forecast(belief, chain, [NO_INPUT] * steps, Q, DT, rows)
+
+    belief = run(estimator, chain, 41, lambda k: (0, 1, 2))[-1]
+    mean, first = ahead(estimator, belief)
+    for found, expected in zip((mean, first), ahead(EXACT, belief), strict=True):
+        np.testing.assert_array_equal(found, expected)
+    moved = 0
+    for _ in range(8):
+        belief = estimator.predict(belief, chain, NO_INPUT, Q, DT)
+        belief, _ = estimator.update(belief, nodes(0, 1, 2), np.full(9, 1e-3))
+        mean, cov = ahead(estimator, belief)
+        exact_mean, exact = ahead(EXACT, belief)
+        np.testing.assert_allclose(mean, exact_mean, atol=1e-15)  # rounding
+        np.testing.assert_allclose(cov, exact, rtol=0.02)  # nearly steady after 0.4 s
+        moved += not np.array_equal(cov, first)
+        first = cov
+        other = ahead(estimator, belief, 5)[1]  # another horizon is another prediction
+        np.testing.assert_allclose(other, ahead(EXACT, belief, 5)[1], rtol=0.02)
+    assert moved == 2
+
+
 def test_a_belief_cannot_be_written_to_and_can_be_repaired(chain):
     belief = run(HeldCovariance(EXACT, 4), chain, 40, lambda k: (0, 1))[-1]
     for array in (belief.mean, belief.cov, belief.prior, belief.last):

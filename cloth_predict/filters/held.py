@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class HeldGaussian(Gaussian):
     frame: number of measurements; last, shape (dim_x,): the one that saw each state last, -1 where
     none ever did; even: how many in a row missed nothing for long; dt [s]: the step before the
     last one at which the covariance moved; measured: whether a measurement came after the last
-    step.
+    step; ahead: covariances of predictions since the covariance moved last.
     """
 
     prior: FloatArray
@@ -43,6 +43,7 @@ class HeldGaussian(Gaussian):
     even: int = 0
     dt: float = 0.0
     measured: bool = False
+    ahead: dict[tuple[int, float, bytes], FloatArray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -79,7 +80,7 @@ class HeldCovariance:
             mean = self.ekf.integrator.step(model, belief.mean, u, dt)
             return replace(belief, mean=mean, cov=belief.prior, measured=False)
         after = self.ekf.predict(belief, model, u, q, dt)
-        return replace(belief, mean=after.mean, cov=after.cov, dt=dt, measured=False)
+        return replace(belief, mean=after.mean, cov=after.cov, dt=dt, measured=False, ahead={})
 
     def update(
         self, belief: HeldGaussian, obs: Observation, z: FloatArray
@@ -90,8 +91,9 @@ class HeldCovariance:
         last[np.asarray(obs.jac(belief.mean))] = frame
         gone = ((last >= 0) & (last < frame - MISSED)).any()
         even = 0 if gone else belief.even + 1
+        ahead = belief.ahead if even else {}
         held = HeldGaussian(
-            after.mean, after.cov, belief.cov, last, frame, even, belief.dt, measured=True
+            after.mean, after.cov, belief.cov, last, frame, even, belief.dt, True, ahead
         )
         return held, innovation
 
@@ -104,8 +106,20 @@ class HeldCovariance:
         dt: float,
         rows: IntArray,
     ) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariances of `rows` after one step of dt [s] per input, as of the EKF."""
-        return self.ekf.forecast(belief, model, inputs, q, dt, rows)
+        """Mean and covariances of `rows` after one step of dt [s] per input, as of the EKF.
+
+        While the covariance rests, that of a prediction rests as well: it is what it was at the
+        first prediction since it moved.
+        """
+        key = len(inputs), dt, rows.tobytes()
+        if belief.even <= SETTLED or key not in belief.ahead:
+            mean, cov = self.ekf.forecast(belief, model, inputs, q, dt, rows)
+            belief.ahead[key] = cov = read_only(cov)
+            return mean, cov
+        mean = belief.mean
+        for u in inputs:
+            mean = self.ekf.integrator.step(model, mean, u, dt)
+        return mean, belief.ahead[key]
 
     def _rests(self, belief: HeldGaussian, dt: float) -> bool:
         settled = belief.measured and belief.even > SETTLED and belief.even % self.frames != 1
