@@ -114,7 +114,7 @@ class HeldCovariance:
         key = len(inputs), dt, rows.tobytes()
         if belief.even <= SETTLED or key not in belief.ahead:
             mean, cov = self.ekf.forecast(belief, model, inputs, q, dt, rows)
-            belief.ahead[key] = cov = read_only(cov)
+            belief.ahead[key] = cov = np.asarray(read_only(cov))
             return mean, cov
         mean = belief.mean
         for u in inputs:
