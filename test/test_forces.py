@@ -1,15 +1,18 @@
 """What is unknown of the forces: sizes, correlations, and where they act."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cloth_predict.config import build
 from cloth_predict.errors import ConfigError
 from cloth_predict.models.disturbed import Disturbed
-from cloth_predict.surface.assembly import build_mass_spring, rest_shape
+from cloth_predict.surface.assembly import build_mass_spring, first_belief, rest_shape
 from cloth_predict.surface.forces import (
     alike,
     disturbed,
+    first_forces,
     force_variances,
     process_noise,
     unknown_parts,
@@ -122,6 +125,19 @@ def test_what_wind_does_not_go_with_is_refused(values, message):
     with pytest.raises(ConfigError) as error:
         build({'wind': {'kind': 'normal'}, **values}, 'test')
     assert str(error.value) == f'test: {message}'
+
+
+def test_the_first_value_of_each_force_is_given():
+    config, mesh, layout, surface = windy(force='matern')
+    config = replace(config, force=replace(config.force, initial=(1.0, -2.0, 3.0)))
+    model = disturbed(config, mesh, layout, surface)
+    expected = np.zeros(model.dim_x - mesh.dim_x)
+    expected[:18] = np.tile([1.0, -2.0, 3.0], 6)  # their rates, and the wind, are zero
+    np.testing.assert_array_equal(first_forces(config, model), expected)
+    on_mesh = layout.between @ surface
+    belief = first_belief(config, mesh, model, on_mesh, np.zeros(len(on_mesh)))
+    np.testing.assert_array_equal(belief.mean[mesh.dim_x :], expected)
+    np.testing.assert_array_equal(belief.mean[: mesh.dim_x // 2], on_mesh[mesh.free].ravel())
 
 
 def test_without_anything_unknown_the_model_is_the_mesh():

@@ -169,6 +169,12 @@ class ForceConfig:
     )
     sigma: float = param(0.1, 'standard deviation of each component of the force', 'N', above=0)
     tau: float = param(0.3, 'time over which the force forgets', 's', above=0)
+    initial: tuple[float, ...] = param(
+        (0.0, 0.0, 0.0),
+        'what the force of each node is believed to be at the start',
+        'N',
+        length=3,
+    )
 
 
 @dataclass(frozen=True)

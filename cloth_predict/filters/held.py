@@ -23,6 +23,8 @@ SETTLED = 30
 what was unknown has come down."""
 MISSED = 5
 """Frames in a row that may miss a marker without its being taken for gone."""
+GONE = 100
+"""Frames in a row without a marker after which its covariance has settled again, as hidden."""
 ALIKE = 0.5
 """Share by which an interval between frames may differ from the one that the covariance knows."""
 
@@ -34,7 +36,7 @@ class HeldGaussian(Gaussian):
     frame: number of measurements; last, shape (dim_x,): the one that saw each state last, -1 where
     none ever did; even: how many in a row missed nothing for long; dt [s]: the step before the
     last one at which the covariance moved; measured: whether a measurement came after the last
-    step; ahead: covariances of predictions since the covariance moved last.
+    step; ahead: covariances of predictions, with the frame at which each was computed.
     """
 
     prior: FloatArray
@@ -43,7 +45,7 @@ class HeldGaussian(Gaussian):
     even: int = 0
     dt: float = 0.0
     measured: bool = False
-    ahead: dict[tuple[int, float, bytes], FloatArray] = field(default_factory=dict)
+    ahead: dict[tuple[int, float, bytes], tuple[int, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,20 +82,20 @@ class HeldCovariance:
             mean = self.ekf.integrator.step(model, belief.mean, u, dt)
             return replace(belief, mean=mean, cov=belief.prior, measured=False)
         after = self.ekf.predict(belief, model, u, q, dt)
-        return replace(belief, mean=after.mean, cov=after.cov, dt=dt, measured=False, ahead={})
+        return replace(belief, mean=after.mean, cov=after.cov, dt=dt, measured=False)
 
     def update(
         self, belief: HeldGaussian, obs: Observation, z: FloatArray
     ) -> tuple[HeldGaussian, Innovation]:
         """Belief given z, and what was learnt."""
         after, innovation = self.ekf.update(belief, obs, z)
-        last, frame = belief.last.copy(), belief.frame + 1
-        last[np.asarray(obs.jac(belief.mean))] = frame
-        gone = ((last >= 0) & (last < frame - MISSED)).any()
-        even = 0 if gone else belief.even + 1
-        ahead = belief.ahead if even else {}
+        last, frame, rows = belief.last.copy(), belief.frame + 1, np.asarray(obs.jac(belief.mean))
+        back = ((last[rows] >= 0) & (last[rows] < frame - 1 - MISSED)).any()
+        last[rows] = frame
+        gone = ((last >= max(frame - GONE, 0)) & (last < frame - MISSED)).any()
+        even = 0 if back or gone else belief.even + 1
         held = HeldGaussian(
-            after.mean, after.cov, belief.cov, last, frame, even, belief.dt, True, ahead
+            after.mean, after.cov, belief.cov, last, frame, even, belief.dt, True, belief.ahead
         )
         return held, innovation
 
@@ -108,18 +110,20 @@ class HeldCovariance:
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and covariances of `rows` after one step of dt [s] per input, as of the EKF.
 
-        While the covariance rests, that of a prediction rests as well: it is what it was at the
-        first prediction since it moved.
+        The covariance of a prediction serves for `frames` frames as well, whether that of the
+        state rests or not: to carry it through the steps takes most of the time.
         """
         key = len(inputs), dt, rows.tobytes()
-        if belief.even <= SETTLED or key not in belief.ahead:
+        at, cov = belief.ahead.get(key, (-self.frames, np.zeros(0)))
+        if not 0 <= belief.frame - at < self.frames:
             mean, cov = self.ekf.forecast(belief, model, inputs, q, dt, rows)
-            belief.ahead[key] = cov = np.asarray(read_only(cov))
+            cov = np.asarray(read_only(cov))
+            belief.ahead[key] = belief.frame, cov
             return mean, cov
         mean = belief.mean
         for u in inputs:
             mean = self.ekf.integrator.step(model, mean, u, dt)
-        return mean, belief.ahead[key]
+        return mean, cov
 
     def _rests(self, belief: HeldGaussian, dt: float) -> bool:
         settled = belief.measured and belief.even > SETTLED and belief.even % self.frames != 1

@@ -11,7 +11,7 @@ from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import mesh_springs
 from cloth_predict.surface import topology
-from cloth_predict.surface.forces import air_around, force_variances
+from cloth_predict.surface.forces import air_around, first_forces, force_variances
 from cloth_predict.surface.layout import Layout, lay_out
 from cloth_predict.surface.topology import Topology, adjacency
 from cloth_predict.types import BoolArray, FloatArray, Gaussian, IntArray
@@ -191,4 +191,5 @@ def first_belief(
     variance = np.concatenate([*variances, force_variances(model)])
     mean = np.zeros(len(variance))
     mean[:size] = surface[mesh.free].ravel()
+    mean[2 * size :] = first_forces(config, model)
     return Gaussian(mean, np.diag(variance))

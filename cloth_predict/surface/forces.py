@@ -87,5 +87,14 @@ def force_variances(model: MassSpring | Disturbed) -> FloatArray:
     return np.concatenate([np.zeros(0), *variances])
 
 
+def first_forces(config: Config, model: MassSpring | Disturbed) -> FloatArray:
+    """Unknown parts and their rates before anything is known: still air, and `force.initial`."""
+    means = [np.zeros(part.size) for part in _unknown(model)]
+    if config.force.kind != 'none':  # the first part
+        count = _unknown(model)[0].count
+        means[0][:count] = np.tile(config.force.initial, count // 3)
+    return np.concatenate([np.zeros(0), *means])
+
+
 def _unknown(model: MassSpring | Disturbed) -> tuple[Unknown, ...]:
     return model.unknown if isinstance(model, Disturbed) else ()
