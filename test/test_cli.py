@@ -405,6 +405,7 @@ def test_evaluate_writes_a_folder(
     assert load(folder / 'config.yaml') == before
 
 
+@pytest.mark.filterwarnings('always')  # as on the command line
 def test_evaluate_filters_that_the_configuration_allows(
     run: Run, bag: Path, parameters: Parameters
 ) -> None:
