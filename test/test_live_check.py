@@ -73,10 +73,10 @@ def watched(markers: MarkerSequence, config: Config, horizons: list[float]) -> L
     for k, stamp in enumerate(markers.stamps.tolist()):
         predictor.step(stamp, markers.positions[k], markers.visible[k])
         check.measured(stamp, markers.positions[k], markers.visible[k])
-        if stamp < markers.stamps[0] + 1e9 * WARM_UP:
-            continue
         for horizon in horizons:
-            found = predictor.predict(horizon)
+            found = predictor.predict(horizon)  # from the first frame on, as evaluate does
+            if stamp < markers.stamps[0] + 1e9 * WARM_UP:
+                continue
             target = stamp + round(1e9 * horizon)
             check.predicted(f'{horizon}', surface(target, found.position, found.sigma))
     return check

@@ -36,7 +36,7 @@ class HeldGaussian(Gaussian):
     frame: number of measurements; last, shape (dim_x,): the one that saw each state last, -1 where
     none ever did; even: how many in a row missed nothing for long; dt [s]: the step before the
     last one at which the covariance moved; measured: whether a measurement came after the last
-    step; ahead: covariances of predictions, with the frame at which each was computed.
+    step; ahead: covariances of predictions, each with its turn, which is some frames long.
     """
 
     prior: FloatArray
@@ -114,11 +114,12 @@ class HeldCovariance:
         state rests or not: to carry it through the steps takes most of the time.
         """
         key = len(inputs), dt, rows.tobytes()
-        at, cov = belief.ahead.get(key, (-self.frames, np.zeros(0)))
-        if not 0 <= belief.frame - at < self.frames:
+        turn = belief.frame // self.frames  # whoever asks at every frame gets the same
+        known, cov = belief.ahead.get(key, (-1, np.zeros(0)))
+        if known != turn:
             mean, cov = self.ekf.forecast(belief, model, inputs, q, dt, rows)
             cov = np.asarray(read_only(cov))
-            belief.ahead[key] = belief.frame, cov
+            belief.ahead[key] = turn, cov
             return mean, cov
         mean = belief.mean
         for u in inputs:
