@@ -110,11 +110,12 @@ class Ladder:
         it leaves those out, with a warning.
         """
         kinds = FILTERS if 'all' in self.filters else self.filters or [config.filter.kind]
-        for lack in [lack for kind in kinds if (lack := configuration.misfit(config, kind))]:
+        lacks = {kind: configuration.misfit(config, kind) for kind in kinds}
+        for lack in filter(None, lacks.values()):
             if 'all' not in self.filters:
                 raise ConfigError(lack)
             warnings.warn(lack, ClothPredictWarning, stacklevel=2)
-        return methods(kind for kind in kinds if not configuration.misfit(config, kind))
+        return methods(kind for kind, lack in lacks.items() if not lack)
 
 
 def evaluate(

@@ -13,7 +13,8 @@ from cloth_predict.evaluation.cases import Case
 from cloth_predict.evaluation.judging import asked_at
 from cloth_predict.evaluation.predictors import Kinematic
 from cloth_predict.evaluation.runs import Run, follow
-from cloth_predict.types import BoolArray, FloatArray
+from cloth_predict.surface.layout import free_markers
+from cloth_predict.types import FloatArray
 
 DECADES = np.arange(-3.0, 3.5, 0.5)
 """Spectral densities tried first, in powers of ten of the configured one."""
@@ -99,6 +100,7 @@ class _Search:
         """Mean squares of the errors [m^2] of the free nodes, shape (horizons, densities)."""
         case, markers = self._case, self._case.markers
         filters = Kinematic(self._config, self._motion, densities)
+        free = free_markers(self._config)
         total = np.zeros((len(self._horizons), len(densities)))
         count = np.zeros(len(self._horizons))
         rows = {int(k): row for row, k in enumerate(np.flatnonzero(case.ahead))}
@@ -108,12 +110,7 @@ class _Search:
                 if (row := rows.get(k)) is not None and asked[row].any():
                     found = filters.predict(self._horizons[i]).position
                     off = found.reshape(len(densities), -1, 3) - actual[row]
-                    counted = self._free(asked[row] & np.isfinite(off[0, :, 0]))
+                    counted = asked[row] & np.isfinite(off[0, :, 0]) & free
                     total[i] += np.square(off[:, counted]).sum(axis=(1, 2))
                     count[i] += counted.sum()
         return np.divide(total, count[:, None], out=total * nan, where=count[:, None] > 0)
-
-    def _free(self, nodes: BoolArray) -> BoolArray:
-        free = nodes.copy()
-        free[list(self._config.anchors.nodes)] = False
-        return free

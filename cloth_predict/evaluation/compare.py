@@ -25,6 +25,7 @@ from cloth_predict.metrics import (
     ratio,
     score,
 )
+from cloth_predict.surface.layout import free_markers
 from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
 
 SEED = 0
@@ -159,8 +160,7 @@ def summed(
     noise: Mapping[str, float] | None = None,
 ) -> Evaluation:
     """Sum up what was counted."""
-    free = np.ones(judged.actual.shape[1], bool)
-    free[list(config.anchors.nodes)] = False
+    free = free_markers(config)
     parts = {name: judged.parts(name) for name in judged.answers}
     scores = {name: score(part, free, np.random.default_rng(SEED)) for name, part in parts.items()}
     of_free = {name: [(e[:, free], block) for e, block in part] for name, part in parts.items()}

@@ -9,7 +9,7 @@ import numpy as np
 from cloth_predict.config import Config
 from cloth_predict.surface import topology
 from cloth_predict.surface.topology import Topology
-from cloth_predict.types import FloatArray, IntArray, read_only
+from cloth_predict.types import BoolArray, FloatArray, IntArray, read_only
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,13 @@ class Layout:
         return len(self.between)
 
 
+def free_markers(config: Config) -> BoolArray:
+    """Which markers are free, shape (markers,): all but the driven ones."""
+    free = np.ones(config.model.count, bool)
+    free[list(config.anchors.nodes)] = False
+    return free
+
+
 def lay_out(config: Config, joined: Topology, surface: FloatArray) -> Layout:
     """Lay out the configured mesh; joined: which markers are; surface [m], shape (markers, 3).
 
@@ -70,8 +77,8 @@ def lay_out(config: Config, joined: Topology, surface: FloatArray) -> Layout:
         node = np.arange(rows * cols).reshape(rows, cols)
         markers = node[:: model.refine, :: model.refine].ravel()
         shape = np.stack([*np.divmod(node.ravel(), cols), np.zeros(rows * cols)], axis=1)
-    driven = np.unique(np.asarray(config.anchors.nodes, np.int64))
-    free = np.setdiff1d(np.arange(model.count), driven)
+    is_free = free_markers(config)
+    free, driven = np.flatnonzero(is_free), np.flatnonzero(~is_free)
     moved = (between[:, free] > 0).any(axis=1)
     free_mesh, driven_mesh = np.flatnonzero(moved), np.flatnonzero(~moved)
     weight = between[np.ix_(free_mesh, free)]

@@ -13,6 +13,7 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.metrics import at_times
+from cloth_predict.surface.layout import free_markers
 from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.types import BoolArray, FloatArray, MarkerSequence, Surface
 
@@ -83,9 +84,8 @@ class LiveCheck:
     @classmethod
     def of(cls, config: Config) -> LiveCheck:
         """Prepare for the configured surface."""
-        free = np.ones(config.model.count, bool)
-        free[list(config.anchors.nodes)] = False
-        return cls(config.live_check.window, config.filter.measurement_noise, free)
+        noise = config.filter.measurement_noise
+        return cls(config.live_check.window, noise, free_markers(config))
 
     def _reset(self) -> None:
         self._frames: deque[tuple[int, FloatArray, BoolArray]] = deque(maxlen=2)

@@ -114,9 +114,7 @@ def _follow(track: Track, frame: Frame, config: Config) -> tuple[Track, Step]:
         driven = driven.copy()
         driven.update(found.positions, others)
         arrived = replace(track, now=moved(track.now, driven, dt, config))
-    belief, innovation = _updated(arrived.now, found, config)
-    known = belief.marginals(arrived.now.layout.rows)
-    sound = (np.diagonal(known, axis1=1, axis2=2) > 0).all()
+    belief, innovation, sound = _updated(arrived.now, found, config)
     belief = belief if sound else _repaired(belief)
     last = np.where(found.visible, frame.stamp, track.last)
     lost = min(len(found.left), (~found.visible).sum()) > found.visible.sum()
@@ -175,15 +173,17 @@ def _allowance(track: Track, frame: Frame, config: Config) -> FloatArray:
     return np.asarray(variance[:, None, None] * np.eye(3))
 
 
-def _updated(now: Start, found: Identified, config: Config) -> tuple[Belief, Innovation]:
+def _updated(now: Start, found: Identified, config: Config) -> tuple[Belief, Innovation, bool]:
+    """Belief given what was found, what was learnt, and whether its variances are positive."""
     rows, free = now.layout.rows, now.layout.free
     seen = found.visible[free]
     obs = VisiblePositions.of_rows(rows[seen].ravel(), config.filter.measurement_noise)
     z = found.positions[free[seen]].ravel()
     belief, innovation = now.filter.update(now.belief, obs, z)
-    if not np.isfinite(belief.mean).all() or not np.isfinite(belief.marginals(rows)).all():
+    known = belief.marginals(rows)
+    if not np.isfinite(belief.mean).all() or not np.isfinite(known).all():
         raise FloatingPointError('the estimate is not finite')
-    return belief, innovation
+    return belief, innovation, bool((np.diagonal(known, axis1=1, axis2=2) > 0).all())
 
 
 def _repaired(belief: Belief) -> Belief:
