@@ -73,9 +73,8 @@ def test_a_matrix_that_is_no_rotation_is_refused(rotation):
 
 def test_a_rotation_of_three_digits_is_accepted(turned):
     rounded = ProjectorConfig(rotation=tuple(np.round(turned.rotation, 3)))
-    matrix = Pinhole.from_config(rounded).matrix
-    assert matrix.shape == (3, 4)
-    np.testing.assert_array_equal(matrix[2, :3], np.round(turned.rotation, 3)[6:])
+    pinhole = Pinhole.from_config(rounded)
+    np.testing.assert_array_equal(pinhole.rotation, np.round(turned.rotation, 3).reshape(3, 3))
 
 
 def test_row_times_of_the_paper():

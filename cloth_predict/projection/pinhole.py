@@ -1,39 +1,136 @@
-"""The projector as an inverse camera (Gomes 2016, section 2.2.2)."""
+"""The projector as an inverse camera (Gomes 2016, section 2.2.2), with a lens."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cloth_predict.config import ProjectorConfig
 from cloth_predict.errors import ConfigError
-from cloth_predict.types import FloatArray
+from cloth_predict.projection.lens import COUNTS, Lens
+from cloth_predict.types import BoolArray, FloatArray
+
+MIRRORS = {
+    'front': (False, False),
+    'rear': (True, False),
+    'ceiling': (True, True),
+    'ceiling_rear': (False, True),
+}
+"""Whether the projector mirrors its picture across, and down, by throw."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pinhole:
-    """Projection matrix P = F [R t], shape (3, 4) (Gomes 2016, eq. 2.8-2.10)."""
+    """A projector without time: from points [m] in the mocap frame to pixels [px] and back.
 
-    matrix: FloatArray
+    intrinsic: F, focal lengths, skew and principal point [px], shape (3, 3) (Gomes 2016, eq. 2.9).
+    rotation, translation [m]: from the mocap frame to the projector's, shapes (3, 3) and (3,).
+    distortion: k1, k2, p1, p2, k3 to k6 of OpenCV, shape (8,). width, height: resolution [px].
+    throw: what the projector does to its picture by itself; pixels are those of the picture that
+    it is given, before that.
+    """
+
+    intrinsic: FloatArray
+    rotation: FloatArray
+    translation: FloatArray
+    distortion: FloatArray
+    width: int
+    height: int
+    throw: str = 'front'
+    _lens: Lens | None = field(init=False)
+    _frame: FloatArray = field(init=False)
+    _linear: FloatArray = field(init=False)
+    _offset: FloatArray = field(init=False)
 
     @classmethod
     def from_config(cls, config: ProjectorConfig) -> Pinhole:
-        """Build from the configuration. Raises ConfigError where the rotation is none."""
-        intrinsic = np.array(
-            [[config.alpha, config.gamma, config.u0], [0, config.beta, config.v0], [0, 0, 1]]
-        )
+        """Build from the configuration. Raises ConfigError, which names the parameter."""
+        if len(config.distortion) not in COUNTS:
+            raise ConfigError(
+                f'projector.distortion: expected 4, 5 or 8 coefficients, or none, got '
+                f'{len(config.distortion)}'
+            )
         rotation = np.reshape(config.rotation, (3, 3))
-        # a rotation typed with three digits is accepted, a mirrored or scaled one is not
-        orthogonal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-2)
-        if not orthogonal or np.linalg.det(rotation) < 0:
-            raise ConfigError('projector.rotation: not a rotation matrix')
-        return cls(intrinsic @ np.column_stack([rotation, config.translation]))
+        if flaw := flaw_of_rotation(rotation):
+            raise ConfigError(f'projector.rotation: {flaw}')
+        intrinsic = [[config.alpha, config.gamma, config.u0], [0, config.beta, config.v0]]
+        return cls(
+            np.array([*intrinsic, [0, 0, 1]], dtype=float),
+            rotation,
+            np.array(config.translation),
+            np.pad(config.distortion, (0, 8 - len(config.distortion))),
+            config.width,
+            config.height,
+            config.throw,
+        )
+
+    def __post_init__(self) -> None:
+        across, down = MIRRORS[self.throw]
+        frame = self.intrinsic.copy()
+        if across:
+            frame[0] = (self.width - 1) * frame[2] - frame[0]
+        if down:
+            frame[1] = (self.height - 1) * frame[2] - frame[1]
+        lens = Lens(self.distortion) if self.distortion.any() else None
+        # with a lens what is linear ends at the coordinates that the lens distorts
+        last = np.eye(3) if lens else frame
+        object.__setattr__(self, '_lens', lens)
+        object.__setattr__(self, '_frame', frame)
+        object.__setattr__(self, '_linear', np.ascontiguousarray((last @ self.rotation).T))
+        object.__setattr__(self, '_offset', last @ self.translation)
+
+    @property
+    def origin(self) -> FloatArray:
+        """Position of the projector in the mocap frame [m], shape (3,)."""
+        return np.asarray(-np.linalg.solve(self.rotation, self.translation))
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Pixels u, v of points [m], shape (..., 3) to (..., 2); NaN behind the projector."""
-        homogeneous = points @ self.matrix[:, :3].T + self.matrix[:, 3]
+        """Pixels u, v of points [m], shape (..., 3) to (..., 2) (Gomes 2016, eq. 2.8-2.10).
+
+        NaN behind the projector, and where the model of the lens folds back.
+        """
+        homogeneous = points @ self._linear + self._offset
         depth = homogeneous[..., 2:]
-        with np.errstate(divide='ignore', invalid='ignore'):
-            pixels = homogeneous[..., :2] / depth
-        return np.where(depth > 0, pixels, np.nan)
+        found: FloatArray = homogeneous[..., :2] / np.where(depth > 0, depth, np.nan)
+        if self._lens is None:
+            return found
+        return self._lens.distort(found) @ self._frame[:2, :2].T + self._frame[:2, 2]
+
+    def depth(self, points: FloatArray) -> FloatArray:
+        """Distance along the axis [m] of points [m], shape (..., 3) to (...)."""
+        return np.asarray(points @ self.rotation[2] + self.translation[2])
+
+    def inside(self, pixels: FloatArray) -> BoolArray:
+        """Whether pixels are within the frame, shape (..., 2) to (...); NaN is not."""
+        within = (pixels >= -0.5) & (pixels < np.array([self.width, self.height]) - 0.5)
+        return np.asarray(within.all(axis=-1))
+
+    def rays(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where the light of pixels starts [m], shape (3,), and its directions, shape (..., 3).
+
+        Both in the mocap frame; directions have length 1, and are NaN for pixels to which the lens
+        brings no light.
+        """
+        centred = np.asarray(pixels, dtype=float) - self._frame[:2, 2]
+        ideal = centred @ np.linalg.inv(self._frame[:2, :2]).T
+        if self._lens is not None:
+            ideal = self._lens.undistort(ideal)
+        directions = np.empty((*ideal.shape[:-1], 3))
+        directions[..., :2], directions[..., 2] = ideal, 1
+        # the inverse, not the transpose: a rotation typed with three digits is not orthogonal
+        directions = directions @ np.linalg.inv(self.rotation).T
+        return self.origin, directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def flaw_of_rotation(matrix: FloatArray) -> str:
+    """Return why a matrix, shape (3, 3), is no rotation, or nothing."""
+    # a rotation typed with three digits is accepted, a scaled or sheared one is not
+    if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-2):
+        return 'not a rotation matrix: its rows are not of length 1 and at right angles'
+    if np.linalg.det(matrix) < 0:
+        return (
+            'not a rotation matrix: it mirrors; where the projector mirrors its picture, tell so '
+            'by projector.throw'
+        )
+    return ''
