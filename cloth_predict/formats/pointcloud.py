@@ -22,8 +22,16 @@ TRACKS = np.dtype([*((name, MARKERS[name]) for name in MARKERS.names or ()), ('t
 SURFACE = np.dtype(
     [(name, '<f4') for name in ('x', 'y', 'z', 'vx', 'vy', 'vz', 'ax', 'ay', 'az', 'sigma')]
 )
-WARPED = np.dtype([(name, '<f4') for name in ('u', 'v', 's', 't', 'x', 'y', 'z', 'dt')])
-SCANLINE = np.dtype([(name, '<f4') for name in ('u', 'v', 'dt')])
+WARPED = np.dtype(
+    [
+        *((name, '<f4') for name in ('u', 'v', 's', 't', 'x', 'y', 'z', 'dt')),
+        ('flags', '<u2'),
+        ('field', '<u2'),
+    ]
+)
+SCANLINE = np.dtype(
+    [*((name, '<f4') for name in ('u', 'v', 'dt')), ('line', '<u2'), ('field', '<u2')]
+)
 
 DATATYPES = {
     'int8': 1, 'uint8': 2, 'int16': 3, 'uint16': 4, 'int32': 5, 'uint32': 6, 'float32': 7,

@@ -1,0 +1,85 @@
+"""Which vertices the light of the projector reaches."""
+
+from __future__ import annotations
+
+from enum import IntFlag
+
+import numpy as np
+
+from cloth_predict.types import BoolArray, FloatArray, IntArray
+
+NEARER = 1e-4
+"""Share of its distance by which a surface must lie before a vertex to hide it."""
+
+
+class Flag(IntFlag):
+    """What keeps a vertex from being lit as it should."""
+
+    BEHIND = 1
+    """It is behind the projector: it has no pixel."""
+    OUTSIDE = 2
+    """It is not within the frame."""
+    BACK_FACING = 4
+    """The surface round it shows its other side."""
+    OCCLUDED = 8
+    """The surface itself is in the way."""
+    UNCONVERGED = 16
+    """The beam does not meet it in this frame."""
+
+
+def orientation(pixels: FloatArray, triangles: IntArray) -> FloatArray:
+    """Twice the signed area of triangles, shape (t,), of points in a plane, shape (nodes, 2)."""
+    a, b, c = np.moveaxis(pixels[triangles], 1, 0)
+    ab, ac = b - a, c - a
+    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+
+
+def back_facing(pixels: FloatArray, triangles: IntArray, texture: FloatArray) -> BoolArray:
+    """Which vertices show the side on which the texture is mirrored, shape (nodes,).
+
+    pixels and texture, each (nodes, 2); triangles (t, 3). That of most of the area round a vertex
+    counts; one without a triangle is never back-facing.
+    """
+    area = orientation(pixels, triangles) * np.sign(orientation(texture, triangles))
+    weight = np.repeat(np.nan_to_num(area), 3)
+    return np.bincount(triangles.ravel(), weight, len(pixels)) < 0
+
+
+def occluded(pixels: FloatArray, depth: FloatArray, triangles: IntArray) -> BoolArray:
+    """Which vertices lie behind a triangle of which they are no corner, shape (nodes,).
+
+    pixels, shape (nodes, 2); depth [m], shape (nodes,), along the projector's axis. Triangles that
+    reach behind the projector hide nothing.
+    """
+    hidden = np.zeros(len(pixels), bool)
+    if not len(triangles):
+        return hidden
+    corners = pixels[triangles]
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    (u, v), nearest = pixels.T, depth[triangles].min(axis=1)
+    near = (u > low[:, :1]) & (u < high[:, :1]) & (v > low[:, 1:]) & (v < high[:, 1:])
+    near &= nearest[:, None] < depth
+    triangle, vertex = near.nonzero()
+    own = (triangles[triangle] == vertex[:, None]).any(axis=1)
+    triangle, vertex = triangle[~own], vertex[~own]
+    weight = _barycentric(corners[triangle], pixels[vertex])
+    # 1 / depth is linear over a triangle's picture
+    before = 1.0 / (weight / depth[triangles[triangle]]).sum(axis=1)
+    hides = (weight > 0).all(axis=1) & (before < (1 - NEARER) * depth[vertex])
+    hidden[vertex[hides]] = True
+    return hidden
+
+
+def _barycentric(corners: FloatArray, points: FloatArray) -> FloatArray:
+    """Weights of the corners, shape (k, 3, 2), that give the points, shape (k, 2); (k, 3).
+
+    NaN where the corners lie on a line.
+    """
+    a, b, c = np.moveaxis(corners - points[:, None], 1, 0)
+
+    def cross(p: FloatArray, q: FloatArray) -> FloatArray:
+        return np.asarray(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])
+
+    weight = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=1)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.asarray(weight / weight.sum(axis=1, keepdims=True))
