@@ -9,8 +9,6 @@ from numpy.polynomial import polynomial
 
 from cloth_predict.types import FloatArray
 
-COUNTS = (0, 4, 5, 8)
-"""Numbers of coefficients that a lens may be given by; the others are zero."""
 REACH = 20.0
 """Where the models end, as the tangent of the angle from the axis (87 degrees)."""
 ITERATIONS = 30
@@ -39,11 +37,13 @@ class Lens:
         """Return where the lens moves ideal coordinates; NaN beyond the limit."""
         x, y = ideal[..., 0], ideal[..., 1]
         square = x * x + y * y
-        square = np.where(square < self.limit**2, square, np.nan)
+        return self._bend(x, y, np.where(square < self.limit**2, square, np.nan))
+
+    def _bend(self, x: FloatArray, y: FloatArray, square: FloatArray) -> FloatArray:
         gain = self._radial(square)[0]
         p1, p2 = self.coefficients[2:4]
         tilt = 2 * (p1 * y + p2 * x)
-        found = np.empty(ideal.shape)
+        found = np.empty((*x.shape, 2))
         found[..., 0] = x * (gain + tilt) + p2 * square
         found[..., 1] = y * (gain + tilt) + p1 * square
         return found

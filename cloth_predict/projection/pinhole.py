@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from cloth_predict.config import ProjectorConfig
-from cloth_predict.errors import ConfigError
-from cloth_predict.projection.lens import COUNTS, Lens
+from cloth_predict.errors import ConfigError, FormatError
+from cloth_predict.formats.calibration_file import LENS_COUNTS, read_calibration
+from cloth_predict.projection.lens import Lens
 from cloth_predict.types import BoolArray, FloatArray
 
 MIRRORS = {
@@ -45,19 +47,21 @@ class Pinhole:
 
     @classmethod
     def from_config(cls, config: ProjectorConfig) -> Pinhole:
-        """Build from the configuration. Raises ConfigError, which names the parameter."""
-        if len(config.distortion) not in COUNTS:
+        """Build from the configuration and the file of `calibration`, if it names one.
+
+        Raises ConfigError, which names the parameter, or FormatError, which names the file.
+        """
+        if config.calibration:
+            return cls._from_file(config)
+        if len(config.distortion) not in LENS_COUNTS:
             raise ConfigError(
                 f'projector.distortion: expected 4, 5 or 8 coefficients, or none, got '
                 f'{len(config.distortion)}'
             )
-        rotation = np.reshape(config.rotation, (3, 3))
-        if flaw := flaw_of_rotation(rotation):
-            raise ConfigError(f'projector.rotation: {flaw}')
         intrinsic = [[config.alpha, config.gamma, config.u0], [0, config.beta, config.v0]]
         return cls(
             np.array([*intrinsic, [0, 0, 1]], dtype=float),
-            rotation,
+            _rotation_of(config),
             np.array(config.translation),
             np.pad(config.distortion, (0, 8 - len(config.distortion))),
             config.width,
@@ -65,13 +69,27 @@ class Pinhole:
             config.throw,
         )
 
+    @classmethod
+    def _from_file(cls, config: ProjectorConfig) -> Pinhole:
+        path = Path(config.calibration)
+        found = read_calibration(path)
+        rotation, translation = found.rotation, found.translation
+        if rotation is None or translation is None:
+            rotation, translation = _rotation_of(config), np.array(config.translation)
+        elif flaw := flaw_of_rotation(rotation):
+            raise FormatError(f'{path}: R: {flaw}')
+        return cls(
+            found.intrinsic,
+            rotation,
+            translation,
+            found.distortion,
+            found.width,
+            found.height,
+            config.throw,
+        )
+
     def __post_init__(self) -> None:
-        across, down = MIRRORS[self.throw]
-        frame = self.intrinsic.copy()
-        if across:
-            frame[0] = (self.width - 1) * frame[2] - frame[0]
-        if down:
-            frame[1] = (self.height - 1) * frame[2] - frame[1]
+        frame = mirror(self.throw, self.width, self.height) @ self.intrinsic
         lens = Lens(self.distortion) if self.distortion.any() else None
         # with a lens what is linear ends at the coordinates that the lens distorts
         last = np.eye(3) if lens else frame
@@ -121,6 +139,24 @@ class Pinhole:
         # the inverse, not the transpose: a rotation typed with three digits is not orthogonal
         directions = directions @ np.linalg.inv(self.rotation).T
         return self.origin, directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def mirror(throw: str, width: int, height: int) -> FloatArray:
+    """What the projector does to homogeneous pixels, shape (3, 3); its own inverse."""
+    across, down = MIRRORS[throw]
+    found = np.eye(3)
+    if across:
+        found[0] = -1, 0, width - 1
+    if down:
+        found[1] = 0, -1, height - 1
+    return found
+
+
+def _rotation_of(config: ProjectorConfig) -> FloatArray:
+    rotation = np.reshape(config.rotation, (3, 3))
+    if flaw := flaw_of_rotation(rotation):
+        raise ConfigError(f'projector.rotation: {flaw}')
+    return rotation
 
 
 def flaw_of_rotation(matrix: FloatArray) -> str:
