@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from cloth_predict.config import ProjectorConfig
 from cloth_predict.errors import ConfigError
 from cloth_predict.projection.pinhole import Pinhole
-from cloth_predict.projection.scanout import moved, row_times
 
 
 @pytest.fixture
@@ -75,29 +74,3 @@ def test_a_rotation_of_three_digits_is_accepted(turned):
     rounded = ProjectorConfig(rotation=tuple(np.round(turned.rotation, 3)))
     pinhole = Pinhole.from_config(rounded)
     np.testing.assert_array_equal(pinhole.rotation, np.round(turned.rotation, 3).reshape(3, 3))
-
-
-def test_row_times_of_the_paper():
-    # section 6.5: 5 rows at 24 fps, eq. 6.22: 1 / (24 x 4) s per row
-    times = row_times(5, 24.0)
-    np.testing.assert_allclose(times, [0, 0.0104, 0.0208, 0.03125, 0.0417], atol=5e-5)  # 4 digits
-    np.testing.assert_allclose(np.diff(times), 1 / 96, rtol=1e-14)  # rounding
-    # at 10 fps the last row is drawn when the next frame of the filter comes, 0.1 s later
-    assert row_times(5, 10.0)[-1] == pytest.approx(0.1, rel=1e-15)  # rounding
-    assert row_times(1, 60.0).tolist() == [0.0]
-
-
-def test_moved_by_the_velocity_for_the_time_of_each_row():
-    rng = np.random.default_rng(2)
-    position, velocity = rng.normal(size=(5, 4, 3)), rng.normal(size=(5, 4, 3))
-    before = position.copy()
-    times = row_times(5, 24.0)
-    found = moved(position, velocity, times[:, None])
-    for row, col in np.ndindex(5, 4):
-        # eq. 6.23: m ΔT for each node of row m
-        expected = position[row, col] + row / 96 * velocity[row, col]
-        np.testing.assert_allclose(found[row, col], expected, rtol=1e-14)  # rounding
-    np.testing.assert_array_equal(found[0], position[0])
-    np.testing.assert_array_equal(position, before)
-    by_node = moved(position.reshape(-1, 3), velocity.reshape(-1, 3), np.repeat(times, 4))
-    np.testing.assert_array_equal(by_node, found.reshape(-1, 3))
