@@ -7,7 +7,6 @@ and place, so that a smaller step converges to the same motion; test/test_simula
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -16,6 +15,7 @@ from cloth_predict.formats.bag import Recording, Truth
 from cloth_predict.integrators import RK4, ImplicitEuler, RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_springs
+from cloth_predict.surroundings import Air, Draught, Fan, Gusts, Rail
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
 AIR_DENSITY = 1.2
@@ -24,73 +24,22 @@ AIR_DENSITY = 1.2
 Progress = Callable[[float], None]
 
 
-@dataclass(frozen=True)
-class Gusts:
-    """Turbulence of the fan's jet: a sum of sinusoids carried along with the wind.
-
-    frequency [Hz], phase [rad], size (share of the mean speed), each of shape (waves,); wave
-    numbers across and down the cloth [rad/m], shape (waves, 2).
-    """
-
-    frequency: FloatArray
-    phase: FloatArray
-    size: FloatArray
-    wave_number: FloatArray
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, waves: int = 24, intensity: float = 0.3) -> Gusts:
-        """Draw waves from 0.2 to 8 Hz whose power falls with the -5/3 power of frequency."""
-        frequency = np.exp(rng.uniform(np.log(0.2), np.log(8.0), waves))
-        power = frequency ** (-5 / 3) * frequency  # equal numbers per octave
-        size = intensity * np.sqrt(2 * power / power.sum())
-        return cls(
-            frequency,
-            rng.uniform(0, 2 * np.pi, waves),
-            size,
-            rng.normal(0.0, 4.0, (waves, 2)) * np.sqrt(frequency)[:, None],
-        )
-
-    def __call__(self, position: FloatArray, time: float) -> FloatArray:
-        """Relative change of the speed at positions [m], shape (nodes, 3), at time [s]."""
-        angle = position[:, :2] @ self.wave_number.T - 2 * np.pi * self.frequency * time
-        return np.asarray(np.cos(angle + self.phase) @ self.size)
-
-
-@dataclass(frozen=True)
-class Fan:
-    """A fan behind the cloth that turns from side to side.
-
-    distance [m] from the cloth; middle [m], shape (3,), of the cloth; speed [m/s] in the jet;
-    swing [rad] to each side; period [s] of a full swing; spread [rad] of the jet.
-    """
-
-    gusts: Gusts
-    middle: FloatArray
-    distance: float = 1.5
-    speed: float = 4.0
-    swing: float = 0.6
-    period: float = 5.0
-    spread: float = 0.3
-
-    def __call__(self, position: FloatArray, time: float) -> FloatArray:
-        """Velocity of the air [m/s] at positions [m], shape (nodes, 3), at time [s]."""
-        ray = position - (self.middle - np.array([0.0, 0.0, self.distance]))
-        ray /= np.linalg.norm(ray, axis=1)[:, None]
-        heading = self.swing * np.sin(2 * np.pi * time / self.period - np.pi / 2)
-        aim = np.array([np.sin(heading), 0.0, np.cos(heading)])
-        angle = np.arccos(np.clip(ray @ aim, -1.0, 1.0))
-        rise = 1.0 - np.exp(-time)  # the fan spins up, so that the cloth starts from rest
-        speed = rise * self.speed * np.exp(-0.5 * (angle / self.spread) ** 2)
-        return np.asarray(ray * (speed * (1.0 + self.gusts(position, time)))[:, None])
-
-
 class Scene:
-    """A grid of cloth, hung by its first row, in moving air; time is its last state."""
+    """A grid of cloth, hung by its first row, in moving air; time is its last state.
+
+    hung: input of the cloth at the start; a rail carries what it hangs from.
+    """
 
     def __init__(
-        self, cloth: MassSpring, rows: int, cols: int, shape: FloatArray, fan: Fan | None
+        self,
+        cloth: MassSpring,
+        rows: int,
+        cols: int,
+        shape: FloatArray,
+        fan: Air | None,
+        rail: Rail | None = None,
     ) -> None:
-        self.cloth, self.fan = cloth, fan
+        self.cloth, self.fan, self.rail = cloth, fan, rail
         self._grid = (rows, cols)
         self.hung = cloth.input(shape[cloth.driven])
 
@@ -106,14 +55,29 @@ class Scene:
 
     def f(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Time derivative of the state, shape (dim_x,)."""
+        u = self.carried(u, float(x[-1]))
         if self.fan is not None:
             u = u.copy()
             u[6 * len(self.cloth.driven) :] = self.wind_force(x, u).ravel()
         return np.append(self.cloth.f(x[:-1], u), 1.0)
 
     def input_after(self, u: FloatArray, dt: float) -> FloatArray:
-        """Input of the cloth: what it hangs from stands still."""
+        """Input at the start, at any time: where the rail has carried it, the time state says."""
         return u
+
+    def carried(self, u: FloatArray, time: float) -> FloatArray:
+        """Input of the cloth at a time [s], where `u` is that at the start."""
+        if self.rail is None:
+            return u
+        carried, size = u.copy(), 3 * len(self.cloth.driven)
+        place, velocity = self.rail(time)
+        carried[:size:3] += place
+        carried[size : 2 * size : 3] += velocity
+        return carried
+
+    def positions(self, x: FloatArray) -> FloatArray:
+        """Positions of all nodes [m], shape (nodes, 3)."""
+        return self.cloth.surface(x[:-1], self.carried(self.hung, float(x[-1])))[0]
 
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Not needed by an explicit step, and not offered."""
@@ -179,14 +143,14 @@ def run(
     """Positions [m] of all nodes at times [s], (times, nodes, 3), by steps of at most `step`."""
     x = np.append(np.concatenate([start[scene.cloth.free].ravel(), np.zeros(scene.dim_x // 2)]), 0)
     method = RungeKutta(RK4)
-    frames = [scene.cloth.surface(x[:-1], scene.hung)[0]]
+    frames = [scene.positions(x)]
     for duration in np.diff(times):
         parts = int(np.ceil(duration / step - 1e-9))
         for _ in range(parts):
             x = method.step(scene, x, scene.hung, duration / parts)
         if not np.isfinite(x).all():
             raise FloatingPointError(f'the simulation diverges with a step of {step} s')
-        frames.append(scene.cloth.surface(x[:-1], scene.hung)[0])
+        frames.append(scene.positions(x))
         progress(float(duration))
     return np.array(frames)
 
@@ -194,17 +158,37 @@ def run(
 def towel_fan(
     rng: np.random.Generator, duration: float, progress: Progress, step: float = 1e-3
 ) -> Truth:
-    """A 0.51 x 0.80 m towel of 0.34 kg hung by its top row before a fan, 17 x 13 nodes."""
+    """A towel hung by its top row before a fan."""
+    cloth, nodes = towel()
+    fan = Fan(Gusts.draw(rng), middle=nodes.mean(axis=0))
+    return _filmed(Scene(cloth, 17, 13, nodes, fan), nodes, duration, progress, step)
+
+
+def crossing(
+    rng: np.random.Generator, duration: float, progress: Progress, step: float = 1e-3
+) -> Truth:
+    """A towel hung from a bar that goes to and fro at 1 m/s along a rail, in a draught."""
+    cloth, nodes = towel()
+    draught = Draught(Gusts.draw(rng))
+    return _filmed(Scene(cloth, 17, 13, nodes, draught, Rail()), nodes, duration, progress, step)
+
+
+def towel() -> tuple[MassSpring, FloatArray]:
+    """A towel of 0.51 x 0.80 m and 0.34 kg, 17 x 13 nodes, and where they are when flat [m]."""
     shape = np.zeros((17, 13, 3))
     shape[..., 0] = np.linspace(0.0, 0.51, 13)
     shape[..., 1] = 1.5 - np.linspace(0.0, 0.80, 17)[:, None]
     stiffness = {'structural': 400.0, 'shear': 80.0, 'flexion': 20.0}
-    cloth = hung_cloth(shape, 0.34, stiffness, damping=0.02)
-    fan = Fan(Gusts.draw(rng), middle=shape.reshape(-1, 3).mean(axis=0))
-    nodes = shape.reshape(-1, 3)
-    scene = Scene(cloth, 17, 13, nodes, fan)
+    return hung_cloth(shape, 0.34, stiffness, damping=0.02), shape.reshape(-1, 3)
+
+
+def _filmed(
+    scene: Scene, nodes: FloatArray, duration: float, progress: Progress, step: float
+) -> Truth:
+    """Let a towel go from where it hangs at rest."""
     stamps = _stamps(duration)
-    surface = run(scene, settled(cloth, scene.hung, nodes), stamps / 1e9, step, progress)
+    start = settled(scene.cloth, scene.hung, nodes)
+    surface = run(scene, start, stamps / 1e9, step, progress)
     return Truth(stamps, surface.reshape(-1, 17, 13, 3), marker_grid(17, 13, 4))
 
 
@@ -226,6 +210,7 @@ def falling_cloth(
 
 SCENARIOS: dict[str, Callable[[np.random.Generator, float, Progress], Truth]] = {
     'towel_fan': towel_fan,
+    'crossing': crossing,
     'falling_cloth': falling_cloth,
 }
 
