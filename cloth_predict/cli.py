@@ -21,6 +21,9 @@ from cloth_predict.evaluation import report
 from cloth_predict.evaluation.degrade import Degradation
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.performance import one_core
+from cloth_predict.projection import calibration_report
+from cloth_predict.projection.calibration import COUNTS
+from cloth_predict.projection.pinhole import MIRRORS
 from cloth_predict.share import find
 from cloth_predict.simulate import SCENARIOS
 
@@ -104,6 +107,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     evaluate.add('-o', '--output', type=Path, help='folder for tables, figures and configuration')
     evaluate.degradation()
+    calibrate = command(
+        'calibrate-projector',
+        _calibrate_projector,
+        'fit a projector to pairs of points and pixels',
+    )
+    calibrate.projector().json()
     return parser
 
 
@@ -157,6 +166,31 @@ class _Command:
         self.add('--seed', type=_whole, default=0, help='of what is hidden, swapped or shuffled')
         return self
 
+    def projector(self) -> _Command:
+        """Options of a calibration."""
+        self.add('pairs', type=Path, help='CSV with x, y, z (m, mocap frame) and u, v (pixels)')
+        for side in ('width', 'height'):
+            text = f'{side} of the frame in pixels'
+            self.add(f'--{side}', type=_pixels, required=True, metavar='PX', help=text)
+        self.add(
+            '-o', '--output', type=Path, required=True, help='file to write, of OpenCV (YAML)'
+        )
+        self.add(
+            '--distortion',
+            type=int,
+            default=0,
+            choices=COUNTS,
+            help='how many of k1, k2, p1, p2, k3 to fit; default: no lens',
+        )
+        self.add('--skew', action='store_true', help='fit the skew, too')
+        self.add(
+            '--throw',
+            default='front',
+            choices=MIRRORS,
+            help='projector.throw with which the pairs were taken; default: front',
+        )
+        return self
+
     def output_bag(self) -> _Command:
         self.add('-o', '--output', type=Path, required=True, help='bag to write (a folder)')
         return self
@@ -206,6 +240,13 @@ def _whole(text: str) -> int:
     return value
 
 
+def _pixels(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f'{text} is not a number of pixels')
+    return value
+
+
 def _bar(text: str, unit: str) -> Callable[[float], tqdm]:
     """Progress bar; shows itself only on a terminal."""
     return lambda total: tqdm(total=total, desc=text, unit=unit, disable=None, leave=False)
@@ -252,6 +293,22 @@ def _evaluate(options: argparse.Namespace) -> None:
     with _bar('evaluate', 'frame')(0) as bar:
         found = run.evaluate(options.bag, options.config, ladder, options.output, _counted(bar))
     print(json.dumps(report.summaries(found)) if options.json else report.text(found))
+
+
+def _calibrate_projector(options: argparse.Namespace) -> None:
+    calibration, lines = run.calibrate_projector(
+        options.pairs,
+        options.output,
+        (options.width, options.height),
+        options.throw,
+        options.distortion,
+        options.skew,
+    )
+    if options.json:
+        print(json.dumps(calibration_report.summary(calibration, lines)))
+        return
+    print(calibration_report.text(calibration, lines))
+    print(f'{options.output}: for projector.calibration, with projector.throw: {options.throw}')
 
 
 def _demo(options: argparse.Namespace) -> None:

@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from cloth_predict import config as configuration
 from cloth_predict import simulate as simulation
 from cloth_predict.config import Config
-from cloth_predict.errors import ClothPredictWarning, ConfigError, FormatError, FrameError
+from cloth_predict.errors import (
+    ClothPredictError,
+    ClothPredictWarning,
+    ConfigError,
+    FormatError,
+    FrameError,
+)
 from cloth_predict.evaluation.cases import case_of, split
 from cloth_predict.evaluation.compare import Evaluation, compare, pooled
 from cloth_predict.evaluation.degrade import NOTHING, Degradation, degraded
@@ -23,8 +29,12 @@ from cloth_predict.evaluation.predictors import Make, methods
 from cloth_predict.evaluation.report import report
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.formats.bag import BagWriter, create_bag, write_recording
+from cloth_predict.formats.calibration_file import DeviceCalibration, write_calibration
+from cloth_predict.formats.pairs_csv import read_pairs
 from cloth_predict.formats.pointcloud import encode_markers, encode_surface
 from cloth_predict.formats.recording import read
+from cloth_predict.projection.calibration import Calibration, calibrate
+from cloth_predict.projection.calibration_report import complaints
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import MarkerSequence
 
@@ -154,6 +164,32 @@ def evaluate(
     if output is not None:
         report(found, config, output)
     return [evaluation for of_bag in found for evaluation in of_bag]
+
+
+def calibrate_projector(
+    source: Path,
+    output: Path,
+    resolution: tuple[int, int],
+    throw: str,
+    distortion: int,
+    skew: bool,
+) -> tuple[Calibration, tuple[int, ...]]:
+    """Fit a projector to pairs and write its file; warns of what the pairs do not tell.
+
+    Returns the calibration, and the lines of the pairs in their file.
+    """
+    keep_source(source, output)
+    pairs = read_pairs(source, *resolution)
+    try:
+        found = calibrate(pairs.points, pairs.pixels, *resolution, throw, distortion, skew)
+    except ClothPredictError as error:
+        raise FormatError(f'{source}: {error}') from None
+    device = found.pinhole
+    parts = device.intrinsic, device.distortion, device.rotation, device.translation
+    write_calibration(output, DeviceCalibration(*resolution, *parts), found.rms)
+    for complaint in complaints(found, pairs.lines):
+        warnings.warn(f'{source}: {complaint}', ClothPredictWarning, stacklevel=2)
+    return found, pairs.lines
 
 
 def keep_source(source: Path, output: Path) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -24,26 +25,22 @@ class Lens:
 
         x g + 2 p1 x y + p2 (r^2 + 2 x^2),  y g + p1 (r^2 + 2 y^2) + 2 p2 x y.
 
-    limit: radius from which on this folds back, so that there is no way back from a pixel.
     """
 
     coefficients: FloatArray
-    limit: float = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, 'limit', self._find_limit())
 
     def distort(self, ideal: FloatArray) -> FloatArray:
         """Return where the lens moves ideal coordinates; NaN beyond the limit."""
-        x, y = ideal[..., 0], ideal[..., 1]
-        square = x * x + y * y
-        return self._bend(x, y, np.where(square < self.limit**2, square, np.nan))
+        square = (ideal * ideal).sum(axis=-1)
+        return self.bend(ideal, np.where(square < self.limit**2, square, np.nan))
 
-    def _bend(self, x: FloatArray, y: FloatArray, square: FloatArray) -> FloatArray:
+    def bend(self, ideal: FloatArray, square: FloatArray) -> FloatArray:
+        """Return where the model moves ideal coordinates, given r^2, even beyond the limit."""
+        x, y = ideal[..., 0], ideal[..., 1]
         gain = self._radial(square)[0]
         p1, p2 = self.coefficients[2:4]
         tilt = 2 * (p1 * y + p2 * x)
-        found = np.empty((*x.shape, 2))
+        found = np.empty(ideal.shape)
         found[..., 0] = x * (gain + tilt) + p2 * square
         found[..., 1] = y * (gain + tilt) + p1 * square
         return found
@@ -88,8 +85,12 @@ class Lens:
         found[..., 1, 0] = found[..., 0, 1]
         return found
 
-    def _find_limit(self) -> float:
-        """Smallest radius at which the Jacobian is singular in some direction, at most REACH."""
+    @cached_property
+    def limit(self) -> float:
+        """Radius from which on the model folds back, so that there is no way back from a pixel.
+
+        The smallest at which the Jacobian is singular in some direction, at most REACH.
+        """
         k1, k2, _, _, k3, k4, k5, k6 = self.coefficients
         above, below = np.array([1, k1, k2, k3]), np.array([1, k4, k5, k6])
         # with g = N / D: d(r g)/dr = (N D + 2 r^2 (N' D - N D')) / D^2
@@ -98,18 +99,18 @@ class Lens:
             polynomial.polymul(above, polynomial.polyder(below)),
         )
         slope = polynomial.polyadd(polynomial.polymul(above, below), 2 * polynomial.polymulx(turn))
-        reach = np.sqrt(min(_first_root(slope), _first_root(below), REACH**2))
+        reach = float(np.sqrt(min(_first_root(slope), _first_root(below), REACH**2)))
         # the tangential terms may fold it earlier: look along rays, a thousandth at a time
         radii = np.linspace(0, reach, 1001)[:-1]
         angles = np.linspace(0, 2 * np.pi, 72, endpoint=False)
         rays = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         jacobian = self._jacobian(radii[:, None, None] * rays)
         folded = (np.linalg.det(jacobian) <= 0).any(axis=1)
-        return float(radii[max(np.argmax(folded) - 1, 0)] if folded.any() else reach)
+        return float(radii[int(folded.argmax()) - 1]) if folded.any() else reach
 
 
 def _first_root(coefficients: FloatArray) -> float:
     """Smallest positive root of a polynomial (constant term first), or infinity."""
-    roots = polynomial.polyroots(polynomial.polytrim(coefficients))
+    roots = np.asarray(polynomial.polyroots(polynomial.polytrim(coefficients)))
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(real.min(initial=np.inf))

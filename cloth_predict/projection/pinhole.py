@@ -93,6 +93,8 @@ class Pinhole:
         lens = Lens(self.distortion) if self.distortion.any() else None
         # with a lens what is linear ends at the coordinates that the lens distorts
         last = np.eye(3) if lens else frame
+        if lens:
+            _ = lens.limit  # takes some ms, and not those of the first frame
         object.__setattr__(self, '_lens', lens)
         object.__setattr__(self, '_frame', frame)
         object.__setattr__(self, '_linear', np.ascontiguousarray((last @ self.rotation).T))
