@@ -52,7 +52,13 @@ setup(
     ],
     extras_require={
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
-        'test': ['hypothesis>=6.100', 'mcap-ros2-support>=0.5.5', 'psutil>=5.9', 'pytest>=7.4'],
+        'test': [
+            'hypothesis>=6.100',
+            'mcap-ros2-support>=0.5.5',
+            'opencv-python-headless>=4.6',
+            'psutil>=5.9',
+            'pytest>=7.4',
+        ],
         # Bounded: newer linters find new faults in unchanged code.
         'lint': ['mypy>=2.4,<2.5', 'ruff>=0.17,<0.18'],
         # Not for the same environment as the rest: colcon-core needs setuptools<80.
