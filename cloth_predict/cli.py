@@ -15,9 +15,9 @@ from tqdm import tqdm
 
 from cloth_predict import __version__
 from cloth_predict import commands as run
-from cloth_predict.config import Config
+from cloth_predict.config import Config, ProjectorConfig
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
-from cloth_predict.evaluation import report
+from cloth_predict.evaluation import projection_report, report
 from cloth_predict.evaluation.degrade import Degradation
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.performance import one_core
@@ -107,6 +107,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     evaluate.add('-o', '--output', type=Path, help='folder for tables, figures and configuration')
     evaluate.degradation()
+    project = command(
+        'project', _project, 'light a recording and tell where the light lands on the surface'
+    )
+    project.add('bag', type=Path, help='recording')
+    project.config().json()
+    project.add(
+        '--delay',
+        type=_delay,
+        default=0.05,
+        metavar='S',
+        help='from the capture of the markers to the start of the frame; default 0.05',
+    )
+    project.add(
+        '--fps', type=_rate, metavar='HZ', help='frames per second; default: projector.fps'
+    )
+    project.add('-o', '--output', type=Path, help='folder for table, figures and configuration')
     calibrate = command(
         'calibrate-projector',
         _calibrate_projector,
@@ -233,6 +249,20 @@ def _horizon(text: str) -> float:
     return value
 
 
+def _delay(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < float('inf'):
+        raise argparse.ArgumentTypeError(f'{text} s is no delay: it is 0 or more')
+    return value
+
+
+def _rate(text: str) -> float:
+    value, most = _positive(text), ProjectorConfig.__dataclass_fields__['fps'].metadata['high']
+    if value > most:
+        raise argparse.ArgumentTypeError(f'{text} Hz is more than {most:g} Hz')
+    return value
+
+
 def _whole(text: str) -> int:
     value = int(text)
     if value < 0:
@@ -309,6 +339,22 @@ def _calibrate_projector(options: argparse.Namespace) -> None:
         return
     print(calibration_report.text(calibration, lines))
     print(f'{options.output}: for projector.calibration, with projector.throw: {options.throw}')
+
+
+def _project(options: argparse.Namespace) -> None:
+    with _bar('project', 'frame')(0) as bar:
+        found = run.project(
+            options.bag,
+            options.config,
+            options.delay,
+            options.fps,
+            options.output,
+            _counted(bar),
+        )
+    if options.json:
+        print(json.dumps(projection_report.summary(found)))
+    else:
+        print(projection_report.text(found))
 
 
 def _demo(options: argparse.Namespace) -> None:

@@ -6,7 +6,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,9 @@ from cloth_predict.evaluation.cases import case_of, split
 from cloth_predict.evaluation.compare import Evaluation, compare, pooled
 from cloth_predict.evaluation.degrade import NOTHING, Degradation, degraded
 from cloth_predict.evaluation.predictors import Make, methods
+from cloth_predict.evaluation.projection import Compensation
+from cloth_predict.evaluation.projection import project as light
+from cloth_predict.evaluation.projection_report import report as report_projection
 from cloth_predict.evaluation.report import report
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.formats.bag import BagWriter, create_bag, write_recording
@@ -190,6 +193,34 @@ def calibrate_projector(
     for complaint in complaints(found, pairs.lines):
         warnings.warn(f'{source}: {complaint}', ClothPredictWarning, stacklevel=2)
     return found, pairs.lines
+
+
+def project(
+    source: Path,
+    config_path: Path,
+    delay: float,
+    fps: float | None,
+    output: Path | None,
+    progress: Progress,
+) -> Compensation:
+    """Light a recording as the configured projector would, by four methods.
+
+    delay [s]: from the capture of the markers to the start of the frame made of them; fps [Hz]
+    takes the place of the configured one. Writes a table, numbers and figures into a folder if one
+    is given.
+    """
+    config = configuration.load(config_path)
+    if fps is not None:
+        config = replace(config, projector=replace(config.projector, fps=fps))
+    recording = read(source)
+    case = case_of(recording, config, str(source))
+    if output is not None:
+        make_folder(output)
+    total = len(case.markers)
+    found = light(case, recording.truth, config, delay, lambda done: progress(done, total))
+    if output is not None:
+        report_projection(found, output)
+    return found
 
 
 def keep_source(source: Path, output: Path) -> None:

@@ -104,12 +104,14 @@ class Draw:
 class TrueSurface:
     """The surface as it truly moves: its vertices, and a mesh that may be finer.
 
-    triangles of the mesh, shape (t, 3); none of a chain.
+    triangles of the mesh, shape (t, 3); none of a chain. shape: rows and columns of the mesh, or
+    one row where it has none.
     """
 
     vertices: Path
     mesh: Path
     triangles: IntArray
+    shape: tuple[int, int]
 
     @classmethod
     def of(cls, case: Case, truth: Truth | None, triangles: IntArray) -> TrueSurface:
@@ -119,14 +121,14 @@ class TrueSurface:
         """
         vertices = Path.of(case.reference.markers)
         if truth is None:
-            return cls(vertices, vertices, triangles)
+            return cls(vertices, vertices, triangles, (1, len(triangles)))
         frames, rows, cols = truth.surface.shape[:3]
         _, first = np.unique(truth.stamps, return_index=True)
         names = tuple(map(str, range(rows * cols)))
         position = truth.surface.reshape(frames, -1, 3)[first]
         everything = np.ones(position.shape[:2], bool)
         mesh = MarkerSequence(truth.stamps[first], names, position, everything)
-        return cls(vertices, Path.of(mesh), grid_triangles(rows, cols))
+        return cls(vertices, Path.of(mesh), grid_triangles(rows, cols), (rows, cols))
 
     def drawn(self, begin: float, pinhole: Pinhole, scan: Scan, field: int) -> Draw:
         """When a field of the frame that begins at `begin` [s] meets each vertex.

@@ -12,7 +12,7 @@ from math import ceil, isfinite, nan
 
 import numpy as np
 
-from cloth_predict.types import FloatArray
+from cloth_predict.types import FloatArray, IntArray
 
 RESAMPLES = 1000
 FEWEST_BLOCKS = 5
@@ -46,6 +46,27 @@ def ratio_interval(
         return _interval(mine / its)
 
 
+def quantile_interval(parts: Sequence[Part], share: float, rng: np.random.Generator) -> Interval:
+    """95 % interval of the value below which `share` of all errors is; NaN as `rms_interval`."""
+    counts = [np.isfinite(errors).sum(axis=1) > 0 for errors, _ in parts]
+    kept = [(errors[some], block) for (errors, block), some in zip(parts, counts, strict=True)]
+    if any(len(errors) < FEWEST_BLOCKS * block for errors, block in kept):
+        return nan, nan
+    weights = np.concatenate([_drawn_frames(len(e), block, rng) for e, block in kept], axis=1)
+    every = np.concatenate([errors.ravel() for errors, _ in kept])
+    frames = np.repeat(
+        np.arange(weights.shape[1]),
+        np.concatenate([np.full(len(errors), errors.shape[1]) for errors, _ in kept]),
+    )
+    order = np.argsort(every)[: np.count_nonzero(np.isfinite(every))]
+    found = np.empty(RESAMPLES)
+    for k, weight in enumerate(weights):
+        below = np.cumsum(weight[frames[order]])
+        found[k] = every[order][np.searchsorted(below, share * below[-1])]
+    low, high = np.percentile(found, [2.5, 97.5])
+    return float(low), float(high)
+
+
 def paired(
     parts: Sequence[Part], others: Sequence[Part]
 ) -> list[tuple[FloatArray, FloatArray, int]]:
@@ -73,6 +94,14 @@ def _sums(errors: FloatArray) -> FloatArray:
 def _resampled(sums: Sequence[Part], rng: np.random.Generator) -> FloatArray:
     """Totals of sums per frame, (k, frames) of each recording, in each draw, (k, RESAMPLES)."""
     return np.asarray(sum(_drawn(values, block, rng) for values, block in sums))
+
+
+def _drawn_frames(frames: int, block: int, rng: np.random.Generator) -> IntArray:
+    """How often each frame is in each draw, shape (RESAMPLES, frames)."""
+    blocks = ceil(frames / block)
+    starts = rng.integers(frames, size=(RESAMPLES, blocks))
+    chosen = (starts[:, :, None] + np.arange(block)).reshape(RESAMPLES, -1)[:, :frames] % frames
+    return np.array([np.bincount(draw, minlength=frames) for draw in chosen])
 
 
 def _drawn(values: FloatArray, block: int, rng: np.random.Generator) -> FloatArray:
