@@ -71,15 +71,15 @@ class Calibration:
     def undetermined(self) -> Iterator[str]:
         """Names of the parameters whose sigma is so large that the pairs do not tell them.
 
-        More than 5 % of a focal length, of the resolution, or of the distance, 3 degrees, or as
+        More than 2 % of a focal length, of the resolution, or of the distance, 1 degree, or as
         much as the lens of a projector may have: 0.1, or 0.01 of its tangential terms.
         """
         alpha, distance = self.values[0], float(np.linalg.norm(self.pinhole.translation))
         most = {'alpha': alpha, 'beta': alpha, 'gamma': alpha, 'u0': self.pinhole.width}
-        most |= {'v0': self.pinhole.height, 'k': 2.0, 'p': 0.2, 'rotation': 1.0}
+        most |= {'v0': self.pinhole.height, 'k': 5.0, 'p': 0.5, 'rotation': 1.0}
         for name, sigma in zip(self.names, self.sigma, strict=True):
             kind = name if name in most else name.rstrip('123_xyz')
-            if not sigma <= 0.05 * most.get(kind, distance):
+            if not sigma <= 0.02 * most.get(kind, distance):
                 yield name
 
 
