@@ -1,0 +1,74 @@
+"""How likely the measurements are, given the model and its noise: the innovations' likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import log, nan, pi
+
+import numpy as np
+
+from cloth_predict.config import Config
+from cloth_predict.errors import FormatError
+from cloth_predict.evaluation.cases import Case, relabelled
+from cloth_predict.evaluation.judging import WARM_UP
+from cloth_predict.filters.linear import root
+from cloth_predict.tracker import NANOSECONDS, Tracker
+from cloth_predict.types import Innovation, MarkerSequence
+
+FEWEST_KEPT = 0.99
+"""Share of the samples that the association must keep, so that its labels are taken."""
+
+
+def log_likelihood(innovation: Innovation) -> float:
+    """Logarithm of the density of a residual r of m coordinates with covariance S.
+
+    -1/2 (r' S^-1 r + log det S + m log 2 pi); lengths are in metres. Raises FloatingPointError
+    where S is not positive definite.
+    """
+    lower = root(innovation.cov, 'innovation covariance')
+    log_det = 2.0 * float(np.log(np.diagonal(lower)).sum())
+    return -0.5 * (innovation.nis + log_det + len(innovation.residual) * log(2.0 * pi))
+
+
+def measurements(case: Case, config: Config) -> MarkerSequence:
+    """Return what every candidate is given: the markers with their labels put right, once.
+
+    Were each candidate to choose its own measurements, the best one would be that which leaves
+    out the most. The labels are those that the configured tracker finds, unless it loses markers.
+    """
+    markers = case.markers
+    if not config.association.check_labels or not case.labelled.all():
+        return markers
+    found = relabelled(markers, case.points, config, case.name)
+    kept = float(found.visible.sum() / max(markers.visible.sum(), 1))
+    return found if kept >= FEWEST_KEPT else markers
+
+
+def believing(config: Config) -> Config:
+    """Return the configuration that takes every measurement as it is given, in its order."""
+    trusting = replace(config.association, check_labels=False)
+    return replace(config, association=trusting, filter=replace(config.filter, rewind=0.0))
+
+
+def fitness(markers: MarkerSequence, config: Config, source: str = '') -> tuple[float, float, int]:
+    """Sums over a recording: of log likelihoods, of NIS, and of the coordinates measured.
+
+    The first second is left out. NaN where the filter fails on the way: no frame may be missing
+    from the sum. Raises FormatError where there is nothing to sum up.
+    """
+    tracker, total, nis, count = Tracker(believing(config)), 0.0, 0.0, 0
+    begin = int(markers.stamps[0]) + WARM_UP * NANOSECONDS if len(markers) else 0.0
+    for k, stamp in enumerate(markers.stamps.tolist()):
+        learnt = tracker.step(stamp, markers.positions[k], markers.visible[k]).innovation
+        if tracker.counts['diverged'] or tracker.counts['lost']:
+            return nan, nan, 0
+        if learnt is None or stamp < begin or not learnt.residual.size:
+            continue
+        total, nis = total + log_likelihood(learnt), nis + learnt.nis
+        count += len(learnt.residual)
+    if not count:
+        raise FormatError(
+            f'{source}: no innovation after the first {WARM_UP:g} s: the recording is too short, '
+            f'or the surface never starts'
+        )
+    return total, nis, count
