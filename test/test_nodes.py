@@ -32,6 +32,7 @@ from cloth_predict.config import load
 from cloth_predict.errors import ConfigError
 from cloth_predict.formats.bag import Recording, create_bag, read_recording, write_recording
 from cloth_predict.formats.pointcloud import (
+    SURFACE,
     UNLABELLED,
     decode,
     encode_markers,
@@ -145,31 +146,38 @@ def test_mesh_has_two_triangles_per_cell(run):
     np.testing.assert_allclose(found, corners, atol=1e-6)  # float32 in the cloud, double here
 
 
-def test_vertices_are_projected_where_their_row_is_drawn(run):
-    names = ('u', 'v', 's', 't', 'x', 'y', 'z', 'dt')
-    surface = decode(run['cloth/prediction'][-1], ('x', 'y', 'z', 'vx', 'vy', 'vz'))
+def test_vertices_are_projected_where_their_line_is_lit(run):
+    names = ('u', 'v', 's', 't', 'x', 'y', 'z', 'dt', 'flags', 'field')
+    surface = decode(run['cloth/prediction'][-1], SURFACE.names)
     vertices = decode(run['projector/vertices'][-1], names)
-    dt = np.arange(5) / (60.0 * 4)  # Gomes 2016, eq. 6.22 at 60 Hz
-    velocity = np.stack([surface[f'v{axis}'] for axis in 'xyz'], -1).astype(float)
-    drawn = xyz(surface).reshape(5, 4, 3) + velocity * dt[:, None, None]
-    np.testing.assert_allclose(vertices['dt'], np.repeat(dt[:, None], 4, 1), rtol=1e-6)  # float32
+    dt = vertices['dt'].astype(float)
+    p, v, a = (
+        np.stack([surface[f'{prefix}{axis}'] for axis in 'xyz'], -1).astype(float)
+        for prefix in ('', 'v', 'a')
+    )
+    drawn = p + v * dt[..., None] + a * dt[..., None] ** 2 / 2
     np.testing.assert_allclose(xyz(vertices).reshape(5, 4, 3), drawn, atol=1e-6)  # float32
     pixels = Pinhole.from_config(load(TOWEL).projector).project(drawn)
     # 0.01 px: float32 at 1000 px resolves 6e-5, and 1e-6 m is 1e-3 px at 2 m
     np.testing.assert_allclose(vertices['u'], pixels[..., 0], atol=0.01)
     np.testing.assert_allclose(vertices['v'], pixels[..., 1], atol=0.01)
+    # 1080 lines in 1/60 s, and the time of 0.01 line more
+    np.testing.assert_allclose(dt, vertices['v'] / (60 * 1080), atol=2e-7)
     assert vertices['s'][0].tolist() == pytest.approx([0, 1 / 3, 2 / 3, 1])
     assert vertices['t'][:, 0].tolist() == pytest.approx([0, 0.25, 0.5, 0.75, 1])
+    assert not vertices['flags'].any()
+    assert not vertices['field'].any()
 
 
-def test_a_scanline_row_agrees_with_the_vertices_of_that_row(run):
-    vertices = decode(run['projector/vertices'][-1], ('u', 'v'))
-    scanlines = decode(run['projector/scanlines'][-1], ('u', 'v', 'dt'))
-    assert scanlines.shape == (5, 20)
-    for row in range(5):
-        own = slice(4 * row, 4 * row + 4)
-        assert scanlines['u'][row, own].tolist() == vertices['u'][row].tolist()
-        assert scanlines['v'][row, own].tolist() == vertices['v'][row].tolist()
+def test_vertices_lie_on_the_line_between_the_key_lines_round_them(run):
+    vertices = decode(run['projector/vertices'][-1], ('u', 'v')).ravel()
+    scanlines = decode(run['projector/scanlines'][-1], ('u', 'v', 'dt', 'line'))
+    lines = scanlines['line'][:, 0].astype(float)
+    assert (lines[0], lines[-1]) == (0, 1079)
+    for node in range(20):
+        for axis in 'uv':
+            there = np.interp(vertices['v'][node], lines, scanlines[axis][:, node])
+            assert abs(there - vertices[axis][node]) < 0.1  # projector.max_row_error_px
 
 
 def test_diagnostics_come_from_every_node(run):

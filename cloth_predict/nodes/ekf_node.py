@@ -8,16 +8,25 @@ from collections.abc import Iterator
 
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from cloth_predict.errors import FrameError, UncertainError
 from cloth_predict.formats.pointcloud import decode_markers, encode_surface
+from cloth_predict.formats.prediction import Prediction, encode_prediction
+from cloth_predict.nodes._clock import NodeClock
 from cloth_predict.nodes._diagnostics import Diagnostics
 from cloth_predict.nodes._mesh import mesh_marker
 from cloth_predict.nodes._ros import ConfiguredNode, cloud, nanoseconds, run
 from cloth_predict.tracker import Step, Tracker
 from cloth_predict.tracking import live_check
-from cloth_predict.tracking.horizons import PREDICTION, PipelineDelay, topics
+from cloth_predict.tracking.horizons import (
+    NEXT_FRAME,
+    PREDICTION,
+    FrameRequests,
+    PipelineDelay,
+    topics,
+)
 from cloth_predict.tracking.limits import Health
 from cloth_predict.types import Surface
 
@@ -34,7 +43,9 @@ class EkfNode(ConfiguredNode):
         super().__init__('ekf_node', **options)
         self._tracker = Tracker(self.config)
         self._check = live_check.LiveCheck.of(self.config)
-        self._delay = PipelineDelay(self.config)
+        self._delay, self._requests = PipelineDelay(self.config), FrameRequests(self.config)
+        self._time = NodeClock(self)
+        self._capture = 0
         self._step: Step | None = None
         self._health = Health('OK', 'no frame yet')
         self._refused: dict[str, str] = {}
@@ -45,10 +56,15 @@ class EkfNode(ConfiguredNode):
         self._mesh = self.create_publisher(Marker, 'cloth/mesh', 1)  # as RViz asks for it
         self._diagnostics = Diagnostics(self, self._values, self._findings)
         self.subscribe(PointCloud2, 'markers', self._on_markers)
+        if self.config.horizon_mode == 'vsync':
+            self.subscribe(Header, NEXT_FRAME, self._on_request)
+
+    def _on_request(self, message: Header) -> None:
+        self._requests.ask(nanoseconds(message.stamp))
 
     def _on_markers(self, message: PointCloud2) -> None:
         begin, stamp = time.perf_counter(), nanoseconds(message.header.stamp)
-        age = 1e-9 * (self.get_clock().now().nanoseconds - stamp)
+        age = 1e-9 * ((self._time.now() or 0) - stamp)
         try:
             self.check_frame(message.header)
             positions, visible, points = decode_markers(message, self._tracker.nodes)
@@ -61,6 +77,10 @@ class EkfNode(ConfiguredNode):
             return
         self._unlabelled = len(points)
         self._step = step
+        if step.outcome == 'rewound':  # predicted is from the latest frame
+            age -= 1e-9 * (self._capture - stamp)
+        else:
+            self._capture = stamp
         found: dict[str, Surface] = {}
         if self._tracker.started:
             found = self._predict(begin, age)
@@ -75,12 +95,15 @@ class EkfNode(ConfiguredNode):
 
     def _predict(self, begin: float, age: float) -> dict[str, Surface]:
         """Publish the surface ahead, and then now; returns what is predicted by topic."""
-        self._horizons[PREDICTION], self._refused = self._delay.horizon, {}
+        self._horizons[PREDICTION], self._refused = self._horizon(), {}
         found = {}
         for topic, horizon in self._horizons.items():
             try:
                 found[topic] = self._tracker.predict(horizon)
-                self._publish(self._predictions[topic], found[topic])
+                if topic == PREDICTION:
+                    self._publish_timed(found[topic], horizon, begin, age)
+                else:
+                    self._publish(self._predictions[topic], found[topic])
             except UncertainError as error:
                 self._refused[topic] = str(error)
             except FrameError as error:
@@ -92,6 +115,21 @@ class EkfNode(ConfiguredNode):
             self._publish(self._estimate, self._tracker.estimate())
             self._draw(found[PREDICTION])
         return found
+
+    def _horizon(self) -> float:
+        if self.config.horizon_mode == 'vsync':
+            return self._requests.horizon(self._capture, self._delay.median)
+        return self._delay.horizon
+
+    def _publish_timed(self, surface: Surface, horizon: float, begin: float, age: float) -> None:
+        """Publish what the projector uses: with the end of its frame, and the times it took."""
+        projector = self.config.projector
+        by_model = projector.motion == 'model'
+        end = self._tracker.predict(horizon + 1.0 / projector.fps) if by_model else None
+        filtered = age + time.perf_counter() - begin
+        prediction = Prediction(surface, end, horizon, age, filtered)
+        points = encode_prediction(prediction, *self.config.model.shape)
+        self._predictions[PREDICTION].publish(cloud(surface.stamp, self.config.frame, points))
 
     def _draw(self, surface: Surface) -> None:
         triangles = self._tracker.triangles
@@ -108,8 +146,9 @@ class EkfNode(ConfiguredNode):
             yield ('ERROR', text) if topic == PREDICTION else ('WARN', f'{topic}: {text}')
         if self._health.level != 'OK' and PREDICTION not in self._refused:
             yield self._health.level, self._health.text
-        if self._delay.warning:
-            yield 'WARN', self._delay.warning
+        for text in (self._delay.warning, self._requests.warning):
+            if text:
+                yield 'WARN', text
         for topic, realised in self._check.report().items():
             if text := live_check.warning(realised, self.config.filter.measurement_noise):
                 yield 'WARN', f'{topic}: {text}'
@@ -122,7 +161,7 @@ class EkfNode(ConfiguredNode):
             'unlabelled_markers': self._unlabelled,
             'nis': f'{innovation.nis:.1f} of {len(innovation.residual)}' if innovation else 'none',
             'health': self._health.text,
-            'horizon_ms': f'{1e3 * self._delay.horizon:.1f}',
+            'horizon_ms': f'{1e3 * self._horizons[PREDICTION]:.1f}',
             'pipeline_delay_ms': 'unknown' if delay is None else f'{1e3 * delay:.1f}',
             **{f'{name}_steps': n for name, n in sorted(self._tracker.counts.items())},
             **{f'{name}_markers': n for name, n in sorted(self._tracker.markers.items())},

@@ -4,85 +4,166 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 
 from cloth_predict.errors import FrameError
-from cloth_predict.formats.pointcloud import SCANLINE, WARPED, decode, xyz
-from cloth_predict.nodes._diagnostics import Diagnostics
+from cloth_predict.formats.prediction import Prediction, UnsafeError, decode_prediction
+from cloth_predict.nodes._clock import NodeClock
+from cloth_predict.nodes._diagnostics import STEADY, Diagnostics
 from cloth_predict.nodes._ros import ConfiguredNode, cloud, nanoseconds, run
+from cloth_predict.nodes._vsync import FrameTimer
+from cloth_predict.projection.budget import Budget
+from cloth_predict.projection.frames import Frames, Shown
 from cloth_predict.projection.pinhole import Pinhole
-from cloth_predict.projection.scanout import moved, row_times
-from cloth_predict.types import FloatArray
+from cloth_predict.tracking.horizons import EARLIEST, LATEST, PREDICTION
 
 
 class ProjectorNode(ConfiguredNode):
-    """Takes the stamp of a prediction as the start of the projector's frame."""
+    """Makes a frame of each prediction, or, with `horizon_mode: vsync`, one for each vsync."""
 
     def __init__(self, **options: object) -> None:
         super().__init__('projector_node', **options)
-        model = self.config.model
-        self._shape = rows, cols = model.shape
-        self._pinhole = Pinhole.from_config(self.config.projector)
-        self._times = row_times(rows, self.config.projector.fps)
-        self._texture = np.meshgrid(fractions(cols), fractions(rows))
+        config = self.config.projector
+        Pinhole.from_config(config)  # what is no projector ends the node here
+        self._frames, self._budget = Frames(self.config), Budget()
+        self._latest: Prediction | None = None
+        self._arrived, self._unsafe, self._stale = 0.0, '', False
+        self._seen, self._late = 0, 0
         self._vertices = self.publisher(PointCloud2, 'projector/vertices')
         self._scanlines = self.publisher(PointCloud2, 'projector/scanlines')
-        self._outside = 0
-        self._diagnostics = Diagnostics(self, lambda: {'vertices_outside': self._outside})
-        self.subscribe(PointCloud2, 'cloth/prediction', self._on_prediction)
+        self._diagnostics = Diagnostics(self, self._values, self._findings)
+        self._timer: FrameTimer | None = None
+        if self.config.horizon_mode == 'vsync':
+            self._timer = FrameTimer(self, self._on_frame, self._frames.forget)
+            self._time = self._timer.clock
+        else:
+            self._time = NodeClock(self)
+            self.create_timer(min(0.25 * config.max_age, 1.0), self._on_idle, clock=STEADY)
+        self.subscribe(PointCloud2, PREDICTION, self._on_prediction)
 
     def _on_prediction(self, message: PointCloud2) -> None:
-        begin = time.perf_counter()
+        stamp = nanoseconds(message.header.stamp)
         try:
             self.check_frame(message.header)
-            points = decode(message, ('x', 'y', 'z', 'vx', 'vy', 'vz'))
-            if points.shape != self._shape:
-                raise FrameError(f'a surface of {points.shape} nodes, expected {self._shape}')
-            position = xyz(points)
-            velocity = np.column_stack([points[f'v{axis}'].ravel() for axis in 'xyz'])
-            if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
-                raise FrameError('a node of the surface is not finite')
+            shape, frame = self.config.model.shape, 1.0 / self.config.projector.fps
+            prediction = decode_prediction(message, stamp, shape, frame)
         except FrameError as error:
             self._diagnostics.drop('bad', str(error))
+            if not isinstance(error, UnsafeError):
+                return
+            self._unsafe = str(error)
+        else:
+            self._seen += 1
+            start = self._earliest(stamp) if self._timer is None else self._timer.start
+            if start is None or not self._frames.offer(self._dated(prediction), start):
+                return
+            self._latest, self._arrived = prediction, time.monotonic()
+            self._unsafe, self._stale = '', False
+        if self._timer is None:
+            self._on_frame(stamp)
+
+    def _earliest(self, stamp: int) -> int:
+        """Return the start [ns] of the last frame, unless time has jumped back from it."""
+        last = self._latest.stamp if self._latest else stamp
+        if last - stamp <= 1e9 * self.config.filter.max_backstep:
+            return last
+        self._frames.forget()
+        return stamp
+
+    def _dated(self, prediction: Prediction) -> Prediction:
+        """Take one that does not tell when it was measured as measured now."""
+        now = self._time.now()
+        if prediction.capture is not None or now is None:
+            return prediction
+        return replace(prediction, horizon=1e-9 * (prediction.stamp - now))
+
+    def _on_frame(self, start: int) -> None:
+        """Make the frame that is due."""
+        begin, now = time.perf_counter(), self._time.now()
+        if self._latest is None:
             return
-        stamp, frame = nanoseconds(message.header.stamp), message.header.frame_id
-        vertices = self._warp(position.reshape(*self._shape, 3), velocity.reshape(*self._shape, 3))
-        self._vertices.publish(cloud(stamp, frame, vertices))
-        scanlines = self._scan(position, velocity.astype(float))
-        self._scanlines.publish(cloud(stamp, frame, scanlines))
+        if self._unsafe:
+            shown = self._frames.fall_back(start, self._unsafe)
+        else:
+            chosen = self._frames.choose(start)
+            capture = chosen.capture if chosen else None
+            # a frame for each prediction needs no common clock: `_on_idle` knows when none comes
+            timed = self._timer is not None and capture is not None and now is not None
+            age = 1e-9 * (now - capture) if timed else 0.0  # type: ignore[operator]
+            shown = self._frames.make(start, chosen, age)
+        self._show(shown, begin)
+
+    def _on_idle(self) -> None:
+        """Fall back where no prediction comes any more; what is held is shown already."""
+        config, latest = self.config.projector, self._latest
+        since = time.monotonic() - self._arrived
+        if latest is None or self._stale or since <= config.max_age:
+            return
+        self._stale = True
+        begin, stamp = time.perf_counter(), latest.stamp + round(1e9 * since)
+        text = f'no prediction for more than projector.max_age ({config.max_age:g} s)'
+        shown = self._frames.fall_back(stamp, text)
+        if config.fallback == 'blank':
+            self._show(shown, begin)
+
+    def _show(self, shown: Shown | None, begin: float) -> None:
+        if shown is None:
+            return
+        frame = self.config.frame
+        self._vertices.publish(cloud(shown.start, frame, shown.vertices))
+        published = self._time.now()
+        self._scanlines.publish(cloud(shown.start, frame, shown.scanlines))
         self._diagnostics.frame(time.perf_counter() - begin)
+        if published is not None:
+            self._account(shown, published)
 
-    def _warp(self, position: FloatArray, velocity: FloatArray) -> NDArray[np.void]:
-        """Every vertex at the moment at which its own row is drawn, shape (rows, cols)."""
-        drawn = moved(position, velocity, self._times[:, None])
-        pixels = self._pinhole.project(drawn)
-        projector = self.config.projector
-        with np.errstate(invalid='ignore'):
-            inside = (pixels >= 0) & (pixels < (projector.width, projector.height))
-        self._outside = int((~inside.all(axis=-1)).sum())
-        vertices = np.empty(self._shape, WARPED)
-        vertices['u'], vertices['v'] = pixels[..., 0], pixels[..., 1]
-        vertices['s'], vertices['t'] = self._texture
-        for k, axis in enumerate('xyz'):
-            vertices[axis] = drawn[..., k]
-        vertices['dt'] = self._times[:, None]
-        return vertices
+    def _account(self, shown: Shown, published: int) -> None:
+        """Add a frame to the latency budget, where the clocks belong together."""
+        prediction, warped = shown.prediction, shown.warped
+        capture = prediction.capture if prediction else None
+        if prediction is None or warped is None or capture is None:
+            return
+        if EARLIEST <= prediction.received <= LATEST:
+            start = 1e-9 * (shown.start - capture)
+            row = start + sum(float(one.dt.mean()) for one in warped.drawn) / len(warped.drawn)
+            since = 1e-9 * (published - capture)
+            vsync = start - self.config.projector.delay
+            times = [0.0, prediction.received, prediction.filtered, since, vsync, row]
+            self._budget.add(times)
 
-    def _scan(self, position: FloatArray, velocity: FloatArray) -> NDArray[np.void]:
-        """All vertices at the draw time of each row, shape (rows, rows * cols)."""
-        pixels = self._pinhole.project(moved(position, velocity, self._times[:, None]))
-        scanlines = np.empty((len(self._times), len(position)), SCANLINE)
-        scanlines['u'], scanlines['v'] = pixels[..., 0], pixels[..., 1]
-        scanlines['dt'] = self._times[:, None]
-        return scanlines
+    def _findings(self) -> Iterator[tuple[str, str]]:
+        """What is wrong: with the predictions, the picture, and the vsyncs."""
+        frames = self._frames
+        if frames.flaw:
+            shown = 'the last safe frame is held'
+            if self.config.projector.fallback == 'blank' or not frames.started:
+                shown = 'nothing is shown'
+            yield 'ERROR', f'{frames.flaw}: {shown}'
+        if frames.catching_up:
+            yield 'WARN', 'the picture is on its way back from where it was held'
+        if frames.empty:
+            yield 'WARN', 'the surface is outside the frame of the projector: nothing is shown'
+        late, seen = frames.counts['late'] - self._late, self._seen
+        self._late, self._seen = frames.counts['late'], 0
+        if 2 * late > seen:
+            yield 'WARN', f'{late} of {seen} predictions were too late for their frame'
+        if self._timer:
+            yield from self._timer.findings()
 
-
-def fractions(count: int) -> FloatArray:
-    """Texture coordinates 0 to 1 of `count` nodes in a row, shape (count,)."""
-    return np.linspace(0.0, 1.0, count) if count > 1 else np.zeros(1)
+    def _values(self) -> dict[str, object]:
+        counts, timer = self._frames.counts, self._timer
+        values: dict[str, object] = {
+            **{f'vertices_{name}': n for name, n in self._frames.flags.items()},
+            **{f'{name}_frames': counts[name] for name in ('held', 'blanked', 'empty')},
+            'late_predictions': counts['late'],
+            **self._budget.values(),
+        }
+        if timer:
+            values |= {f'{name}_frames': timer.counts[name] for name in ('late', 'missed')}
+        return values
 
 
 def main(args: list[str] | None = None) -> int:

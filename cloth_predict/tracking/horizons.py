@@ -8,6 +8,7 @@ from dataclasses import fields
 import numpy as np
 
 from cloth_predict.config import Config
+from cloth_predict.projection.vsync import moved_on
 
 FRAMES = 101
 """Frames over which the delay is the median."""
@@ -20,6 +21,8 @@ What is beyond compares two clocks that have nothing in common."""
 
 PREDICTION = 'cloth/prediction'
 """Topic of the prediction that the projector uses."""
+NEXT_FRAME = 'projector/next_frame'
+"""Topic on which the projector asks for it: the start of the frame that comes next."""
 
 
 def topics(config: Config) -> dict[str, float]:
@@ -60,7 +63,7 @@ class PipelineDelay:
     def horizon(self) -> float:
         """How far to predict [s] for the projector, within the limits of the parameter."""
         measured, config = self.median, self._config
-        if config.horizon_mode == 'fixed' or measured is None:
+        if config.horizon_mode != 'auto' or measured is None:
             return config.horizon
         limits = next(field.metadata for field in fields(config) if field.name == 'horizon')
         return float(np.clip(measured + config.projector.delay, limits['low'], limits['high']))
@@ -68,10 +71,55 @@ class PipelineDelay:
     @property
     def warning(self) -> str:
         """What keeps the delay from being measured where it is needed, or nothing."""
-        if self._config.horizon_mode == 'fixed' or self._implausible < FEWEST:
+        if self._config.horizon_mode != 'auto' or self._implausible < FEWEST:
             return ''
         return (
             f'horizon_mode auto: frames are {self._age:.3g} s old by the clock of this node, so '
             f'the horizon stays at {1e3 * self.horizon:.0f} ms; are the clocks synchronised, or '
             f'is use_sim_time missing?'
+        )
+
+
+class FrameRequests:
+    """The frame of the projector for which is predicted, as it was asked for last."""
+
+    def __init__(self, config: Config) -> None:
+        """Prepare; nothing is asked for yet."""
+        projector = config.projector
+        self._horizon, self._fps = config.horizon, projector.fps
+        self._before = projector.delay + projector.lead
+        self._farthest = LATEST + self._before + 1.0 / projector.fps
+        self._frame: int | None = None
+        self._off = 0.0
+
+    def ask(self, start: int) -> None:
+        """Take the start [ns] of the frame that comes next."""
+        self._frame = start
+
+    def horizon(self, capture: int, delay: float | None) -> float:
+        """How far [s] to predict from a frame of markers at `capture` [ns].
+
+        To the frame that was asked for, or, where it is past, to the first one after it that can
+        still be reached: with a delay [s] from the capture to the publication, one that is not
+        made before. `config.horizon` where no frame is in reach.
+        """
+        self._off = 0.0
+        if self._frame is None:
+            return self._horizon
+        reach = 0.0 if delay is None else delay + self._before
+        self._off = 1e-9 * (self._frame - capture)
+        if abs(self._off) > self._farthest:
+            return self._horizon
+        self._off = 0.0
+        return 1e-9 * (moved_on(self._frame, capture + round(1e9 * reach), self._fps) - capture)
+
+    @property
+    def warning(self) -> str:
+        """What keeps the frame from being met, or nothing."""
+        if not self._off:
+            return ''
+        return (
+            f'horizon_mode vsync: the frame that {NEXT_FRAME} asks for is {self._off:.3g} s after '
+            f'the markers, so the horizon stays at {1e3 * self._horizon:.0f} ms; is the projector '
+            f'node gone, or use_sim_time missing?'
         )
