@@ -363,6 +363,7 @@ every_parameter = pytest.mark.parametrize(
 
 MESH = {'model.topology': 'edges', 'model.rest_length': 'measured'}
 BESIDE = {'model.nodes': MESH, 'model.edges': {**MESH, 'model.nodes': 2}}
+BESIDE |= {f'model.{name}': {} for name in ('springs', 'dampers', 'masses', 'loads')}
 """Parameters that mean nothing without others, whose values within the limits have tests apart."""
 
 

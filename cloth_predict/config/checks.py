@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 from cloth_predict.config.schema import Config, ModelConfig
 from cloth_predict.errors import ConfigError
 
@@ -28,6 +30,7 @@ def _check_model(model: ModelConfig, source: str) -> None:
             f'{source}.refine: nobody sees the nodes between the markers, so that it needs '
             f'rest_length dimensions'
         )
+    _check_lists(model, source)
     if model.topology == 'grid':
         return
     if model.nodes < FEWEST_NODES[model.topology]:
@@ -42,6 +45,40 @@ def _check_model(model: ModelConfig, source: str) -> None:
         )
     if model.topology == 'edges' and (flaw := _flaw_of_edges(model.nodes, model.edges)):
         raise ConfigError(f'{source}.edges: {flaw}')
+
+
+def _check_lists(model: ModelConfig, source: str) -> None:
+    """Check that what is given for each spring or node has a value for each of them."""
+    for name, given, what in (
+        ('springs', model.springs, 'springs'),
+        ('dampers', model.dampers, 'springs'),
+        ('masses', model.masses, 'nodes'),
+        ('loads', model.loads, 'nodes'),
+    ):
+        if not given:
+            continue
+        if what == 'springs' and model.topology == 'delaunay':
+            raise ConfigError(
+                f'{source}.{name}: has no meaning with topology delaunay, whose springs are not '
+                f'known before the start'
+            )
+        count = model.mesh_nodes if what == 'nodes' else number_of_springs(model)
+        if len(given) != count:
+            raise ConfigError(
+                f'{source}.{name}: {len(given)} values, but the model has {count} {what}'
+            )
+
+
+def number_of_springs(model: ModelConfig) -> int:
+    """Springs of a grid (Gomes 2016, eq. 5.5) or of listed edges, of all families."""
+    if model.topology == 'grid':
+        rows, cols = model.mesh
+        structural = rows * (cols - 1) + cols * (rows - 1)
+        flexion = rows * max(cols - 2, 0) + cols * max(rows - 2, 0)
+        return structural + 2 * (rows - 1) * (cols - 1) + flexion
+    pairs = {frozenset(pair) for pair in zip(model.edges[::2], model.edges[1::2], strict=False)}
+    apart = {a ^ b for a, b in combinations(pairs, 2) if len(a & b) == 1}
+    return len(pairs) + len(apart - pairs)
 
 
 def _flaw_of_edges(nodes: int, flat: tuple[int, ...]) -> str:
@@ -62,6 +99,16 @@ def _flaw_of_edges(nodes: int, flat: tuple[int, ...]) -> str:
     return f'no edges lead from node 0 to node {part.index(max(part))}' if any(part) else ''
 
 
+def _check_vsync(config: Config, source: str) -> None:
+    """Check that a frame can be made between one vsync and the next."""
+    projector, period = config.projector, 1.0 / config.projector.fps
+    if config.horizon_mode == 'vsync' and projector.lead >= period:
+        raise ConfigError(
+            f'{source}: projector.lead: {projector.lead:g} s is not less than the '
+            f'{period:.4g} s of a frame at projector.fps'
+        )
+
+
 def check_together(config: Config, source: str) -> None:
     """Raise ConfigError, which names `source`, where values do not fit each other."""
     _check_model(config.model, f'{source}: model')
@@ -71,6 +118,7 @@ def check_together(config: Config, source: str) -> None:
         raise ConfigError(f'{source}: labels: a label is listed twice')
     if len(set(config.horizons)) != len(config.horizons):
         raise ConfigError(f'{source}: horizons: a horizon is listed twice')
+    _check_vsync(config, source)
     nodes = config.model.count
     chain = config.model.topology == 'grid' and 1 in config.model.mesh
     if config.wind.kind != 'none' and (chain or config.model.topology == 'edges'):

@@ -96,6 +96,24 @@ class ModelConfig:
     gravity: tuple[float, ...] = param(
         (0.0, -9.81, 0.0), 'gravity in the mocap frame', 'm/s^2', length=3
     )
+    springs: tuple[float, ...] = param(
+        (),
+        'stiffness of each spring in place of `stiffness_*`: of the structural, the shear, then '
+        'the flexion springs; not for `delaunay`',
+        'N/m',
+        low=0,
+    )
+    dampers: tuple[float, ...] = param(
+        (), 'damper of each spring, in the same order, in place of `damping`', 'N s/m', low=0
+    )
+    masses: tuple[float, ...] = param(
+        (), 'mass of each node of the model, row by row, in place of `mass`', 'kg', above=0
+    )
+    loads: tuple[float, ...] = param(
+        (),
+        'factor of gravity at each node of the model (Gomes 2016, eq. 5.15); 1 when left out',
+        low=0,
+    )
 
     @property
     def count(self) -> int:
@@ -111,6 +129,11 @@ class ModelConfig:
     def mesh(self) -> tuple[int, int]:
         """Rows and columns of the mesh of a grid: those of the markers, and those between."""
         return (self.rows - 1) * self.refine + 1, (self.cols - 1) * self.refine + 1
+
+    @property
+    def mesh_nodes(self) -> int:
+        """Number of nodes of the model: those of the markers, and those between."""
+        return self.mesh[0] * self.mesh[1] if self.topology == 'grid' else self.nodes
 
     @property
     def name(self) -> str:
@@ -363,6 +386,11 @@ class ReplayConfig:
     loop: bool = param(False, 'start again at the end')
     start: float = param(0.0, 'offset into the recording at which to start', 's', low=0)
     clock: bool = param(True, 'publish /clock')
+    live: bool = param(
+        False,
+        'stamp the frames with the time at which they are due, by the clock of the node, not with '
+        'that of the recording, and publish no /clock: as a mocap system would',
+    )
     subscribers: int = param(1, 'subscribers of markers to wait for before the first frame', low=0)
     timeout: float = param(15.0, 'longest wait for them', 's', low=0)
     drop: float = param(0.0, 'share of markers to leave out at random', low=0, high=1)

@@ -39,6 +39,8 @@ def anneal(
         here, cost = start, search.value(start)
         first = temperature = WARM * cost if np.isfinite(cost) else np.inf
         plateau = min(PLATEAU * len(start), LONGEST)
+        if cost == 0:
+            return 'the first cost is zero'
         while not temperature < COLDEST * first:
             for _ in range(plateau):
                 candidate = np.clip(here + rng.normal(0.0, WIDTH, len(start)), *bounds)

@@ -1,4 +1,4 @@
-"""CMA-ES: the covariance matrix adaptation evolution strategy (Hansen 2016), of the library cma."""
+"""CMA-ES, the covariance matrix adaptation evolution strategy (Hansen 2016), of library cma."""
 
 from __future__ import annotations
 

@@ -10,15 +10,14 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from scipy.special import expit, logit
 
-from cloth_predict.config import Config, ModelConfig
+from cloth_predict.config import Config
 from cloth_predict.errors import ConfigError
-from cloth_predict.surface.assembly import mesh_rest_shape, topology_of
-from cloth_predict.surface.topology import Topology
+from cloth_predict.surface.assembly import build_mass_spring
 from cloth_predict.types import FloatArray
 
 FARTHEST = 1000.0
@@ -59,7 +58,7 @@ class Parameter:
     @property
     def between(self) -> bool:
         """Whether it is searched between two limits, by its logit."""
-        return np.isfinite(self.high)
+        return bool(np.isfinite(self.high))
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,8 @@ class Space:
         config = self.config
         for name, values in chosen.items():
             changed = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-            config = replace(config, **{name: replace(getattr(config, name), **changed)})
+            whole: Any = replace(getattr(config, name), **changed)
+            config = replace(config, **{name: whole})
         return config
 
     @cached_property
@@ -153,47 +153,41 @@ class Space:
         return np.array([p.high - p.low if p.between else 1.0 for p in self.parameters], float)
 
 
-def mesh_topology(model: ModelConfig) -> Topology:
-    """Which nodes of the model are joined. Raises ConfigError of a triangulation."""
-    if model.topology == 'delaunay':
+def spelt_out(config: Config, names: Iterable[str] = LISTS) -> Config:
+    """Write what all springs or nodes share into those of the lists that are named.
+
+    Raises ConfigError for the springs of a triangulation, of which there is none yet.
+    """
+    model = config.model
+    wanted = [name for name in LISTS if name in set(names) and not getattr(model, name)]
+    if model.topology == 'delaunay' and {'springs', 'dampers'} & set(wanted):
         raise ConfigError(
             'model.topology: the springs of delaunay are not known before the start, so that they '
             'cannot be searched one by one'
         )
-    if model.topology == 'grid':
-        rows, cols = model.mesh
-        model = replace(model, rows=rows, cols=cols, refine=1)
-    return topology_of(model, mesh_rest_shape(model) if model.topology == 'grid' else np.zeros(0))
-
-
-def spelt_out(config: Config, names: Iterable[str] = LISTS) -> Config:
-    """Write what all springs or nodes share into those of the lists that are named."""
-    model, wanted = config.model, set(names) & set(LISTS)
-    if wanted & {'springs', 'dampers'}:
-        families = mesh_topology(model).families
-        each = {name: getattr(model, f'stiffness_{name}') for name in families}
-        springs = [each[name] for name, pairs in families.items() for _ in pairs]
-        joined = [name == 'structural' for name, pairs in families.items() for _ in pairs]
-        dampers = [
-            model.damping * (k > 0 or near) for k, near in zip(springs, joined, strict=True)
-        ]
-    lists = {
-        'springs': lambda: springs,
-        'dampers': lambda: dampers,
-        'masses': lambda: [model.mass / model.mesh_nodes] * model.mesh_nodes,
-        'loads': lambda: [1.0] * model.mesh_nodes,
+    if not wanted:
+        return config
+    mesh = build_mass_spring(config, np.zeros((model.count, 3)))  # wherever the nodes are
+    each = {
+        'springs': mesh.springs.stiffness,
+        'dampers': mesh.springs.damping,
+        'masses': mesh.mass,
+        'loads': np.ones(mesh.nodes),
     }
-    filled = {n: tuple(lists[n]()) for n in LISTS if n in wanted and not getattr(model, n)}
-    return replace(config, model=replace(model, **filled))
+    for name in wanted:
+        values: Any = tuple(each[name].tolist())
+        model = replace(model, **{name: values})
+    return replace(config, model=model)
 
 
 def _parameters(config: Config, name: str) -> list[Parameter]:
     """All entries that a name stands for."""
     group, _, field = name.partition('.')
-    fields = {f.name: f for f in dataclasses.fields(getattr(config, group, None) or Config)}
-    if not hasattr(config, group) or field not in fields:
+    whole = getattr(config, group, None)
+    fields = {f.name: f for f in dataclasses.fields(whole)} if _is_group(whole) else {}
+    if field not in fields:
         raise ConfigError(f'{name}: unknown parameter, cannot be searched')
-    value, limits = getattr(getattr(config, group), field), fields[field].metadata
+    value, limits = getattr(whole, field), fields[field].metadata
     entries = list(enumerate(value)) if isinstance(value, tuple) else [(None, value)]
     if not entries or not all(isinstance(v, float) for _, v in entries):
         raise ConfigError(f'{name}: is not a number that can be searched')
@@ -201,7 +195,13 @@ def _parameters(config: Config, name: str) -> list[Parameter]:
     high = np.inf if limits['high'] is None else limits['high']
     if low is None or (low != 0 and not np.isfinite(high)):
         raise ConfigError(f'{name}: has no lower limit, so that it cannot be searched')
-    found = [Parameter(group, field, i, v, low, high) for i, v in entries if v > 0 or high < np.inf]
+    found = [
+        Parameter(group, field, i, v, low, high) for i, v in entries if v > 0 or high < np.inf
+    ]
     if not found:
         raise ConfigError(f'{name}: is 0; a search needs a first value above it')
     return found
+
+
+def _is_group(value: Any) -> TypeGuard[Any]:
+    return dataclasses.is_dataclass(value) and not isinstance(value, type)

@@ -37,12 +37,14 @@ class MassSpring:
         driven: IntArray | Sequence[int] = (),
         gravity: FloatArray | Sequence[float] = GRAVITY,
         air: Air | None = None,
+        gravity_factor: FloatArray | float = 1.0,
     ) -> None:
         """Build the structure.
 
         mass [kg], shape (nodes,); driven, indices of the nodes that the input moves;
-        gravity [m/s^2], shape (3,); air around it, if that matters. Raises ValueError for values
-        outside their range.
+        gravity [m/s^2], shape (3,); air around it, if that matters; gravity_factor at
+        each node, shape (nodes,) (Gomes 2016, eq. 5.15). Raises ValueError for values outside
+        their range.
         """
         self.springs = springs
         self.mass = np.asarray(mass, float)
@@ -56,7 +58,8 @@ class MassSpring:
         self._inverse_mass = 1.0 / self.mass[self.free]
         self._inverse_mass3 = np.repeat(self._inverse_mass, 3)
         self.mass3 = np.repeat(self.mass[self.free], 3)
-        self._weight = np.outer(self.mass[self.free], self.gravity).ravel()
+        weighed = np.broadcast_to(gravity_factor, self.nodes)[self.free] * self.mass[self.free]
+        self._weight = np.outer(weighed, self.gravity).ravel()
         self.driven_ends = self._ends_of_driven()
         triangles = np.zeros((0, 3), np.int64) if air is None else air.triangles
         self.blocks = BlockStructure(springs.pairs, self.free, self.nodes, triangles)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
@@ -79,9 +81,13 @@ def build_mass_spring(
         compression['flexion'] = model.compression_flexion
     rest_length = (1.0 - model.prestretch) * rest_length
     springs = mesh_springs(joined.families, rest_length, stiffness, model.damping, compression)
-    mass = np.full(layout.nodes, model.mass / layout.nodes)
-    air = air_around(config, layout)
-    return MassSpring(springs, mass, layout.driven_mesh, model.gravity, air)
+    if model.springs:
+        springs = replace(springs, stiffness=np.array(model.springs))
+    if model.dampers:
+        springs = replace(springs, damping=np.array(model.dampers))
+    mass = np.array(model.masses or [model.mass / layout.nodes] * layout.nodes)
+    air, factor = air_around(config, layout), np.array(model.loads or 1.0)
+    return MassSpring(springs, mass, layout.driven_mesh, model.gravity, air, factor)
 
 
 def lengths_of(pairs: IntArray, positions: FloatArray) -> FloatArray:
