@@ -248,7 +248,7 @@ def test_an_error_names_file_line_and_column(pairs, capsys, line, text, message)
 
 def test_columns_in_any_order_and_others_beside_them(pairs):
     at, seen = points(), projector().project(points())
-    path = pairs(np.column_stack([np.arange(40), seen, at[:, 2]]), at[:, :2], 'n,U,V, z ,x,y')
+    path = pairs(np.column_stack([seen, np.arange(40), at[:, 2]]), at[:, :2], 'U,V,n, z ,x,y')
     path.write_text('\ufeff' + path.read_text().replace('\n', '\n\n', 1))  # as spreadsheets do
     status, output = call(path)
     assert status == 0

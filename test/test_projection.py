@@ -216,7 +216,9 @@ def test_the_limit_of_a_lens_of_one_term(coefficients, expected):
     assert 0 <= expected - limit <= 1e-3 * REACH
 
 
-@pytest.mark.parametrize('distortion', [*LENSES, (-0.3, 0.02, 0.02, -0.03)], ids=str)
+@pytest.mark.parametrize(
+    'distortion', [*LENSES, (-0.3, 0.02, 0.02, -0.03), (0, 0, 0, 0, 0, -0.25)], ids=str
+)
 def test_within_its_limit_a_lens_is_one_to_one(distortion):
     lens = Lens(np.pad(distortion, (0, 8 - len(distortion))))
     rng = np.random.default_rng(7)

@@ -1,8 +1,7 @@
-"""YAML as OpenCV's FileStorage writes it: its first line, `%YAML:1.0`, and its tags are none."""
+"""YAML as OpenCV's FileStorage writes it, with tags of its own."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +27,7 @@ def parse(path: Path) -> Any:
     yaml = YAML(typ='safe', pure=True)
     yaml.Constructor = _Untagged
     try:
-        # not the line itself, so that errors name the right one
-        return yaml.load(re.sub(r'\A%YAML.*', '', text))
+        return yaml.load(text)
     except (YAMLError, ValueError, RecursionError) as error:
         raise FormatError(f'{path}: not YAML: {" ".join(str(error).split())}') from None
 
