@@ -1,4 +1,4 @@
-"""What the mocap system sees of the state: the position rows of the visible nodes."""
+"""What is seen of the state: the position rows of the visible nodes, or a linear map of it."""
 
 from __future__ import annotations
 
@@ -38,3 +38,20 @@ class VisiblePositions:
     def jac(self, x: FloatArray) -> IntArray:
         """The rows themselves: H is a selection, never a matrix product."""
         return self.rows
+
+
+@dataclass(frozen=True)
+class LinearObservation:
+    """Sees offset + H x: matrix H, shape (m, dim_x), offset, (m,); cov, shape (m,), variances."""
+
+    matrix: FloatArray
+    offset: FloatArray
+    cov: FloatArray
+
+    def h(self, x: FloatArray) -> FloatArray:
+        """Measurement expected at x, shape (m,)."""
+        return self.offset + self.matrix @ x
+
+    def jac(self, x: FloatArray) -> FloatArray:
+        """H."""
+        return self.matrix

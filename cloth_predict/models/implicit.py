@@ -31,7 +31,11 @@ class LinearisedSurface:
     load: FloatArray
 
     def solver(self, dt: float) -> Solver:
-        """Solver of A = M - dt^2 K - dt D, by its Cholesky factor; b has shape (3 free, m).
+        """Solver of A, by its Cholesky factor; b has shape (3 free, m)."""
+        return self.model.blocks.cholesky(self.matrix(dt))
+
+    def matrix(self, dt: float) -> FloatArray:
+        """Blocks of A = M - dt^2 K - dt D, shape (blocks, 9).
 
         The geometric stiffness of a compressed spring is negative and can make the matrix
         indefinite: there it is left out (1 - r/l clamped at 0), which keeps the matrix positive
@@ -42,7 +46,7 @@ class LinearisedSurface:
         matrix = m.mass_blocks - dt**2 * stiffness - dt * m.damping_blocks
         if self.shape.normals is not None:
             matrix -= dt * m.air_damping(self.shape.normals)
-        return blocks.cholesky(matrix)
+        return matrix
 
     def change(self, dt: float, solver: Solver, load: FloatArray | float = 0.0) -> FloatArray:
         """Change of the state in a step (Gomes 2016, eq. 3.32); the driven nodes move on in it.
@@ -104,14 +108,15 @@ class MechanicalTangent:
         self._at, self._dt, self._solver = at, dt, solver
         self._springs, self._air = springs, air
         slope = blocks.gather(springs)
-        self._slope = blocks.matrix(slope if air is None else slope + blocks.of_triangles(air))
+        self.slope = blocks.matrix(slope if air is None else slope + blocks.of_triangles(air))
+        """S."""
         self._mass = at.model.mass3[:, None]
 
     def push(self, columns: FloatArray, load: FloatArray | None = None) -> FloatArray:
         """Return F C, shape (dim_x, m), for changes of the load, (dim_load, m), as well."""
         n, dt = len(self._mass), self._dt
         position, velocity = columns[:n], columns[n:]
-        pulled = self._slope @ position
+        pulled = self.slope @ position
         if load is not None:
             pulled += self._at.model.force_of(self._at.shape, load)
         after = self._solver(self._mass * velocity + dt * pulled)
@@ -141,7 +146,7 @@ class MechanicalTangent:
         """Return W F and the derivative of W x by the load, shapes (m, dim_x), (m, dim_load)."""
         n, dt = len(self._mass), self._dt
         both = self._solver((rows[:, n:] + dt * rows[:, :n]).T)
-        position = rows[:, :n] + dt * (self._slope.T @ both).T
+        position = rows[:, :n] + dt * (self.slope.T @ both).T
         pulled = np.concatenate([position, (self._mass * both).T], axis=1)
         return pulled, dt * self._by_load(both.T)
 
