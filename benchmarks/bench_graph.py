@@ -1,10 +1,13 @@
-"""The live graph under looped replay: frames lost, and the memory of each node over time.
+"""The live graph under looped replay: frames lost or late, and the memory of each node over time.
 
-`python benchmarks/bench_graph.py [minutes]`; 10 minutes by default.
+`python benchmarks/bench_graph.py [minutes] [--vsync]`; 10 minutes by default. With `--vsync` the
+markers come as from a mocap system, and the projector has a vsync at its 60 Hz: told are also the
+frames that were due, published, and heard by another process after their vsync.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import subprocess
@@ -15,27 +18,70 @@ from pathlib import Path
 import numpy as np
 import psutil
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 
+from cloth_predict.config import load
+from cloth_predict.nodes._ros import nanoseconds
+
 ROOT = Path(__file__).parents[1]
+CONFIG = 'config/towel.yaml'
 TOPICS = ('markers', 'cloth/prediction', 'projector/scanlines')
 NODES = {
     'ekf_node': (),
     'projector_node': (),
     'mocap_replay_node': ('replay.loop:=true', 'replay.subscribers:=2'),
 }
+VSYNC = ('horizon_mode:=vsync', 'replay.live:=true')
+WARM = 2.0
+"""Seconds of frames that are not counted: nodes and filter start."""
+DEEP = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+
+
+class Vertices:
+    """When each frame of the projector arrived, and the stages of the latency budget."""
+
+    def __init__(self, probe: Node) -> None:
+        self._delay = load(ROOT / CONFIG).projector.delay
+        self.late_ms: list[float] = []
+        self._stamps: list[int] = []
+        self.budget: dict[str, str] = {}
+        probe.create_subscription(PointCloud2, 'projector/vertices', self._on_vertices, DEEP)
+        probe.create_subscription(DiagnosticArray, 'diagnostics', self._on_diagnostics, 10)
+
+    def _on_vertices(self, message: PointCloud2) -> None:
+        stamp = nanoseconds(message.header.stamp)
+        self._stamps.append(stamp)
+        self.late_ms.append(1e-6 * (time.time_ns() - stamp) + 1e3 * self._delay)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        if message.status[0].name == '/projector_node':
+            self.budget = {v.key: v.value for v in message.status[0].values}
+
+    def report(self, fps: float) -> str:
+        """Frames due, published and late, and by how much."""
+        skipped = round(WARM * fps)
+        late, stamps = np.array(self.late_ms[skipped:]), self._stamps[skipped:]
+        due = round(1e-9 * (stamps[-1] - stamps[0]) * fps) + 1
+        p50, p99 = np.percentile(late, [50, 99])
+        stages = ', '.join(f'{k} {v}' for k, v in self.budget.items() if k.endswith('_ms'))
+        return (
+            f'{due} frames due, {len(late)} published, {(late > 0).sum()} heard after their '
+            f'vsync; arrival by the vsync p50 {p50:+.2f} ms, p99 {p99:+.2f} ms, latest '
+            f'{late.max():+.2f} ms\n{stages}'
+        )
 
 
 def start(name: str, rules: tuple[str, ...]) -> subprocess.Popen[bytes]:
     """Start a node on the shipped recording."""
     words = [word for rule in rules for word in ('-p', rule)]
     command = [sys.executable, '-m', f'cloth_predict.nodes.{name}', '--ros-args']
-    return subprocess.Popen([*command, '--params-file', 'config/towel.yaml', *words], cwd=ROOT)
+    return subprocess.Popen([*command, '--params-file', CONFIG, *words], cwd=ROOT)
 
 
-def main(minutes: float) -> None:
+def main(minutes: float, vsync: bool) -> None:
     """Run the graph and print a line per minute, then the totals."""
     os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
@@ -44,7 +90,9 @@ def main(minutes: float) -> None:
     counts = dict.fromkeys(TOPICS, 0)
     for topic in TOPICS:
         listen(probe, topic, counts)
-    running = {name: start(name, rules) for name, rules in NODES.items()}
+    vertices = Vertices(probe) if vsync else None
+    more = VSYNC if vsync else ()
+    running = {name: start(name, (*rules, *more)) for name, rules in NODES.items()}
     try:
         memory = watch(probe, running, counts, minutes)
     finally:
@@ -55,8 +103,12 @@ def main(minutes: float) -> None:
     for name, values in memory.items():
         slope = np.polyfit(np.arange(len(values)) / 6, values, 1)[0] if len(values) > 1 else 0.0
         print(f'{name}: largest {max(values):.1f} MiB, slope {slope:+.3f} MiB per minute')
-    lost = counts['markers'] - counts['projector/scanlines']
-    print(f'{counts["markers"]} frames published, {lost} without their scanlines')
+    if vertices:
+        print(f'{counts["markers"]} frames of markers, {counts["cloth/prediction"]} predictions')
+        print(vertices.report(load(ROOT / CONFIG).projector.fps))
+    else:
+        lost = counts['markers'] - counts['projector/scanlines']
+        print(f'{counts["markers"]} frames published, {lost} without their scanlines')
 
 
 def listen(probe: Node, topic: str, counts: dict[str, int]) -> None:
@@ -65,8 +117,7 @@ def listen(probe: Node, topic: str, counts: dict[str, int]) -> None:
     def heard(_: bytes) -> None:
         counts[topic] += 1
 
-    deep = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
-    probe.create_subscription(PointCloud2, topic, heard, deep, raw=True)
+    probe.create_subscription(PointCloud2, topic, heard, DEEP, raw=True)
 
 
 def watch(
@@ -90,4 +141,8 @@ def watch(
 
 
 if __name__ == '__main__':
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else 10.0)
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('minutes', type=float, nargs='?', default=10.0)
+    parser.add_argument('--vsync', action='store_true', help='a projector with a vsync at 60 Hz')
+    given = parser.parse_args()
+    main(given.minutes, given.vsync)

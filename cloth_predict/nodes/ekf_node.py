@@ -82,7 +82,10 @@ class EkfNode(ConfiguredNode):
         else:
             self._capture = stamp
         found: dict[str, Surface] = {}
-        if self._tracker.started:
+        vsync = self.config.horizon_mode == 'vsync'
+        if vsync and self._requests.waited(age):
+            self._diagnostics.counts['waited'] += 1
+        elif self._tracker.started:
             found = self._predict(begin, age)
         else:
             self._health, self._refused = self._tracker.health(), {}
@@ -95,7 +98,7 @@ class EkfNode(ConfiguredNode):
 
     def _predict(self, begin: float, age: float) -> dict[str, Surface]:
         """Publish the surface ahead, and then now; returns what is predicted by topic."""
-        self._horizons[PREDICTION], self._refused = self._horizon(), {}
+        self._horizons[PREDICTION], self._refused = self._horizon(age), {}
         found = {}
         for topic, horizon in self._horizons.items():
             try:
@@ -109,16 +112,18 @@ class EkfNode(ConfiguredNode):
             except FrameError as error:
                 self._diagnostics.drop('unpredicted', str(error))
             if topic == PREDICTION:  # of which the health speaks
-                self._delay.add(age, time.perf_counter() - begin)
+                processing = time.perf_counter() - begin
+                self._delay.add(age, processing)
+                self._requests.add(processing)
                 self._health = self._tracker.health()
         if PREDICTION in found:
             self._publish(self._estimate, self._tracker.estimate())
             self._draw(found[PREDICTION])
         return found
 
-    def _horizon(self) -> float:
+    def _horizon(self, age: float) -> float:
         if self.config.horizon_mode == 'vsync':
-            return self._requests.horizon(self._capture, self._delay.median)
+            return self._requests.horizon(self._capture, age)
         return self._delay.horizon
 
     def _publish_timed(self, surface: Surface, horizon: float, begin: float, age: float) -> None:
@@ -154,14 +159,16 @@ class EkfNode(ConfiguredNode):
                 yield 'WARN', f'{topic}: {text}'
 
     def _values(self) -> dict[str, object]:
-        step, delay = self._step, self._delay.median
+        step, delay, horizon = self._step, self._delay.median, self._delay.horizon
+        if self.config.horizon_mode == 'vsync':
+            horizon = self._horizons[PREDICTION]
         innovation = step.innovation if step else None
         values: dict[str, object] = {
             'visible_markers': f'{step.visible.sum() if step else 0} of {self._tracker.nodes}',
             'unlabelled_markers': self._unlabelled,
             'nis': f'{innovation.nis:.1f} of {len(innovation.residual)}' if innovation else 'none',
             'health': self._health.text,
-            'horizon_ms': f'{1e3 * self._horizons[PREDICTION]:.1f}',
+            'horizon_ms': f'{1e3 * horizon:.1f}',
             'pipeline_delay_ms': 'unknown' if delay is None else f'{1e3 * delay:.1f}',
             **{f'{name}_steps': n for name, n in sorted(self._tracker.counts.items())},
             **{f'{name}_markers': n for name, n in sorted(self._tracker.markers.items())},

@@ -51,6 +51,7 @@ class MocapReplayNode(ConfiguredNode):
             )
         self._due = (seconds - seconds[self._first]) / replay.rate
         self._next = self._first
+        self._stamped = int(markers.stamps[self._first])
         self._publisher = self.publisher(PointCloud2, 'markers')
         self._clock_publisher = self.create_publisher(Clock, '/clock', 10)
         self._diagnostics = Diagnostics(self, self._values, now=self._replayed)
@@ -80,6 +81,8 @@ class MocapReplayNode(ConfiguredNode):
         if listeners < self.config.replay.subscribers and now < self._give_up:
             return False
         self._origin = now + (SETTLE if listeners else 0.0)
+        # from the steady clock, by which frames are due, to the node's
+        self._epoch = self.get_clock().now().nanoseconds - round(1e9 * now)
         self._delay = 0.0
         self.get_logger().info(
             f'{self.config.replay.path}: {len(self._markers) - self._first} frames, '
@@ -91,12 +94,18 @@ class MocapReplayNode(ConfiguredNode):
         assert self._origin is not None
         return self._origin + float(self._due[self._next]) + self._delay
 
+    def _stamp(self) -> int:
+        """Time [ns] of the capture of the next frame."""
+        if self.config.replay.live:
+            return self._epoch + round(1e9 * (self._time_of_next() - self._delay))
+        return int(self._markers.stamps[self._next])
+
     def _publish(self) -> None:
         markers, k, replay = self._markers, self._next, self.config.replay
-        stamp = int(markers.stamps[k])
+        self._stamped = stamp = self._stamp()
         visible = markers.visible[k] & (self._rng.random(len(markers.labels)) >= replay.drop)
         points = encode_markers(markers.positions[k], visible, self._unlabelled)
-        if replay.clock:
+        if replay.clock and not replay.live:
             self._clock_publisher.publish(Clock(clock=to_time(stamp)))
         self._publisher.publish(cloud(stamp, self.config.frame, points))
         self._diagnostics.frame(time.monotonic() - self._time_of_next())
@@ -132,7 +141,7 @@ class MocapReplayNode(ConfiguredNode):
         self._timer.reset()
 
     def _replayed(self) -> Time:
-        return to_time(int(self._markers.stamps[max(self._next - 1, self._first)]))
+        return to_time(self._stamped)
 
     def _values(self) -> dict[str, object]:
         return {'next_frame': f'{self._next} of {len(self._markers)}'}

@@ -19,6 +19,10 @@ EARLIEST, LATEST = -0.1, 1.0
 frames of a replay, or is set less exactly than frames are fast, shows a little less than none.
 What is beyond compares two clocks that have nothing in common."""
 
+BACKLOG, FRESH = 0.05, 0.01
+"""Seconds by which a frame is older at its arrival than the freshest ones, from which on it has
+waited in a queue (others follow at once), and below which the queue is empty again."""
+
 PREDICTION = 'cloth/prediction'
 """Topic of the prediction that the projector uses."""
 NEXT_FRAME = 'projector/next_frame'
@@ -91,22 +95,42 @@ class FrameRequests:
         self._farthest = LATEST + self._before + 1.0 / projector.fps
         self._frame: int | None = None
         self._off = 0.0
+        self._ages: deque[float] = deque(maxlen=FRAMES)
+        self._behind = False
+        self._took: deque[float] = deque([0.0], maxlen=FRAMES)
+
+    def add(self, processing: float) -> None:
+        """Take how long [s] it took from the arrival of a frame to its prediction."""
+        self._took.append(processing)
+
+    def waited(self, age: float) -> bool:
+        """Whether a frame of this age [s] at its arrival is from a queue.
+
+        To predict from all of these as well would keep the queue from getting shorter, and the
+        longer it is, the farther is predicted, and the longer that takes.
+        """
+        self._ages.append(age)
+        limit = FRESH if self._behind else BACKLOG
+        self._behind = age - min(self._ages) > limit
+        return self._behind
 
     def ask(self, start: int) -> None:
         """Take the start [ns] of the frame that comes next."""
         self._frame = start
 
-    def horizon(self, capture: int, delay: float | None) -> float:
-        """How far [s] to predict from a frame of markers at `capture` [ns].
+    def horizon(self, capture: int, age: float) -> float:
+        """How far [s] to predict from a frame of markers at `capture` [ns], `age` [s] old.
 
         To the frame that was asked for, or, where it is past, to the first one after it that can
-        still be reached: with a delay [s] from the capture to the publication, one that is not
-        made before. `config.horizon` where no frame is in reach.
+        still be reached: one that is not made before nine of ten predictions are there.
+        `config.horizon` where no frame is in reach.
         """
         self._off = 0.0
         if self._frame is None:
             return self._horizon
-        reach = 0.0 if delay is None else delay + self._before
+        reach = 0.0
+        if EARLIEST <= age <= LATEST:
+            reach = max(age, 0.0) + float(np.percentile(self._took, 90)) + self._before
         self._off = 1e-9 * (self._frame - capture)
         if abs(self._off) > self._farthest:
             return self._horizon
