@@ -8,7 +8,12 @@ from hypothesis import strategies as st
 from cloth_predict.projection.spans import cut, on_lines
 from cloth_predict.projection.warp_map import warp_map
 
+pytestmark = pytest.mark.filterwarnings('error')
+
 WIDTH, HEIGHT = SIZE = (64, 48)
+EVERY = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1).reshape(-1, 2) * 1.0
+"""Every pixel (u, v), row by row."""
+ZERO = np.array([0])
 FOCAL, CENTRE = 60.0, np.array([31.3, 23.1])
 ROUNDING = 2e-6  # some ten roundings of numbers up to 1 in single precision
 
@@ -173,7 +178,17 @@ def test_two_sheets_through_each_other_are_parted_pixel_by_pixel():
     assert min(parts) > 50  # pixels: each is in front somewhere
 
 
-EVERY = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1).reshape(-1, 2) * 1.0
+@pytest.mark.parametrize('seed', range(8))
+def test_a_heap_of_triangles_is_parted_pixel_by_pixel(seed):
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform([-0.3, -0.2, 0.9], [0.3, 0.2, 1.3], (12, 1, 3))
+    points = (middle + rng.uniform(-0.3, 0.3, (12, 3, 3))).reshape(-1, 3)
+    texture, triangles = rng.uniform(0, 1, (36, 2)), np.arange(36).reshape(12, 3)
+    keys = key_lines(lambda line: points + 0.003 * line, [0, 20, HEIGHT - 1])
+    found = warp_map(*keys, texture, triangles, SIZE)
+    expected = reference(keys, texture, triangles, False, slice(None))
+    np.testing.assert_allclose(found, expected, atol=ROUNDING)
+    assert np.isfinite(expected).sum() > 30  # half of the triangles show their back
 
 
 def test_a_still_plane_is_a_homography():
@@ -200,7 +215,7 @@ def spans_of(pixels, triangles, texture, columns=False):
     keys = pixels[None, :, ::-1] if columns else pixels[None]
     lines, length = (WIDTH, HEIGHT) if columns else (HEIGHT, WIDTH)
     y = np.arange(lines)
-    vertices = on_lines(keys, np.ones(keys.shape[:2]), np.array([0]), y)
+    vertices = on_lines(keys, np.ones(keys.shape[:2]), ZERO, y)
     return int(cut(vertices, texture, triangles, y, length, mirrored=columns).count.sum())
 
 
@@ -209,7 +224,7 @@ def test_edges_through_pixel_centres_leave_no_gap_and_no_pixel_twice(columns):
     texture, triangles = grid(6, 9)
     pixels = np.array([10, 5]) + texture * [40, 30]  # vertices and edges at whole pixels
     found = warp_map(
-        pixels[None], np.ones((1, 54)), np.array([0]), texture, triangles, SIZE, columns=columns
+        pixels[None], np.ones((1, 54)), ZERO, texture, triangles, SIZE, columns=columns
     )
     expected = np.full((HEIGHT, WIDTH, 2), np.nan)
     expected[5:35, 10:50] = ((EVERY - [10, 5]) / [40, 30]).reshape(HEIGHT, WIDTH, 2)[5:35, 10:50]
@@ -226,12 +241,61 @@ def test_a_crooked_mesh_has_no_gap_and_no_pixel_twice(seed, columns):
     # By at most a fifth of a cell, so that no triangle turns over.
     pixels = [10, 5] + (texture + inner[:, None] * rng.uniform(-1, 1, (108, 2)) / 60) * [40, 30]
     depth = rng.uniform(0.9, 1.1, (1, 108))
-    keys = (pixels[None], depth, np.array([0]))
+    keys = (pixels[None], depth, ZERO)
     found = warp_map(*keys, texture, triangles, SIZE, columns=columns)
     lit = np.zeros((HEIGHT, WIDTH), bool)
     lit[5:35, 10:50] = True
     np.testing.assert_array_equal(np.isfinite(found).all(axis=-1), lit)
     assert spans_of(pixels, triangles, texture, columns) == lit.sum()
+
+
+@pytest.mark.parametrize('columns', [False, True])
+def test_triangles_agree_on_edges_through_pixel_centres_at_any_slope(columns):
+    rng = np.random.default_rng(7)
+    u, v = np.arange(4, 60, 4), np.arange(4, 44, 4)
+    rim = [(x, 4) for x in u] + [(60, y) for y in v]
+    rim = np.array(rim + [(64 - x, 44) for x in u] + [(4, 48 - y) for y in v], float)
+    fan = 1 + np.arange(len(rim))
+    triangles = np.column_stack([np.zeros(len(rim), int), fan, np.roll(fan, -1)])
+    lit = np.zeros((HEIGHT, WIDTH), bool)
+    lit[4:44, 4:60] = True
+    for middle in rng.integers([8, 8], [56, 40], (20, 2)):
+        pixels = np.vstack([middle, rim])
+        texture = pixels / SIZE
+        found = warp_map(
+            pixels[None],
+            np.ones((1, len(pixels))),
+            ZERO,
+            texture,
+            triangles,
+            SIZE,
+            columns=columns,
+        )
+        np.testing.assert_array_equal(np.isfinite(found).all(axis=-1), lit)
+        assert spans_of(pixels, triangles, texture, columns) == lit.sum()
+
+
+def test_triangles_agree_to_the_last_bit_where_their_common_edge_crosses_a_line():
+    # Edges through the centre of a pixel, up to rounding; of one triangle the upper end is alone
+    # above the line, of the other the lower end below it.
+    rng, line, centre = np.random.default_rng(1), np.array([20]), np.array([30.0, 20.0])
+    triangles = np.array([[0, 1, 2], [0, 1, 3]])
+    for _ in range(500):
+        along, parts = rng.uniform([-1, 0.2], [1, 1]), rng.uniform(3, 9, 2)
+        side = [15, rng.uniform(0.1, 0.5)]
+        edge = centre + np.outer(parts * [-1, 1], along)
+        pixels = np.vstack([edge, centre - side, centre + side])
+        vertices = on_lines(pixels[None], np.ones((1, 4)), ZERO, line)
+        spans = cut(vertices, pixels, triangles, line, WIDTH, mirrored=False)
+        assert spans.first[1] == spans.first[0] + spans.count[0]
+
+
+def test_a_sliver_of_one_pixel_needs_no_slope():
+    pixels = np.array([[[-1e-310, 5.0], [1e-310, 5.0], [0.0, 15.0]]])
+    texture = np.array([[0.2, 0.2], [0.3, 0.2], [0.3, 0.4]])
+    found = warp_map(pixels, np.ones((1, 3)), ZERO, texture, np.array([[0, 1, 2]]), SIZE)
+    assert np.isfinite(found[5:15, 0]).all()
+    assert np.isfinite(found).sum() == 20
 
 
 def test_two_interlaced_fields_make_one_image():
@@ -244,6 +308,14 @@ def test_two_interlaced_fields_make_one_image():
         out = warp_map(*keys, TEXTURE, TRIANGLES, SIZE, drawn=drawn, out=out)
         expected[drawn] = reference(keys, TEXTURE, TRIANGLES, False, drawn)[drawn]
     np.testing.assert_allclose(out, expected, atol=ROUNDING)
+
+
+def test_key_lines_may_come_in_the_order_in_which_they_are_lit_upwards():
+    pixels, depth, lines = key_lines(MOTIONS['slanted, moving'], [0, 11, 30, HEIGHT - 1])
+    found = warp_map(pixels[::-1], depth[::-1], lines[::-1], TEXTURE, TRIANGLES, SIZE)
+    expected = warp_map(pixels, depth, lines, TEXTURE, TRIANGLES, SIZE)
+    np.testing.assert_array_equal(found, expected)
+    assert np.isfinite(found).any()
 
 
 @pytest.mark.parametrize('columns', [False, True])
@@ -295,6 +367,21 @@ def test_a_vertex_that_is_not_seen_leaves_out_its_triangles_alone():
     expected = warp_map(*key_lines(lambda line: still, [0]), TEXTURE, kept, SIZE)
     np.testing.assert_array_equal(found, expected)
     assert 0.2 < np.isfinite(found).mean() < 0.9
+
+
+def test_a_vertex_that_goes_out_of_sight_takes_its_triangles_with_it():
+    still = MOTIONS['flat, still'](0)
+    behind = still.copy()
+    behind[5, 2] = -1.0
+    kept = TRIANGLES[~(TRIANGLES == 5).any(axis=1)]
+    keys = key_lines(lambda line: behind if line > 20 else still, [0, 20, HEIGHT - 1])
+    found = warp_map(*keys, TEXTURE, TRIANGLES, SIZE)
+    plain = key_lines(lambda line: still, [0])
+    before, after = (warp_map(*plain, TEXTURE, some, SIZE) for some in (TRIANGLES, kept))
+    # On lines of which one of the two key lines has it not.
+    np.testing.assert_array_equal(found[:20], before[:20])
+    np.testing.assert_array_equal(found[20:], after[20:])
+    assert np.isfinite(before[:20]).sum() > np.isfinite(after[:20]).sum()
 
 
 def test_a_steep_sheet_keeps_its_precision():
