@@ -22,7 +22,7 @@ from cloth_predict.simulate import (
     towel_fan,
     vertex_areas,
 )
-from cloth_predict.surroundings import Fan, Gusts
+from cloth_predict.surroundings import Draught, Fan, Gusts, Rail
 
 ROOT = Path(__file__).parents[1]
 STILL = Gusts(np.ones(1), np.zeros(1), np.zeros(1), np.zeros((1, 2)))
@@ -217,6 +217,50 @@ def test_gusts_have_their_intensity_and_spectrum():
     here = np.array([gusts(np.array([[0.1, 1.0, 0.0]]), t)[0] for t in time])
     # 200 s hold 40 periods of the slowest wave, beats of close ones leave a few per cent
     assert here.std() == pytest.approx(0.3, rel=0.05)
+
+
+def test_the_bar_goes_to_and_fro_at_one_metre_per_second():
+    rail = Rail(speed=1.0, straight=0.8, turn=1.0)
+    # s: half a turn from rest to full speed, then the straight, then a turn back; m: a turn is a
+    # half wave of a cosine, which goes on by speed turn / pi
+    reach = 1 / np.pi
+    expected = [
+        (0.0, 0.0, 0.0),
+        (0.5, reach, 1.0),
+        (0.9, reach + 0.4, 1.0),
+        (1.3, reach + 0.8, 1.0),
+        (1.8, 2 * reach + 0.8, 0.0),
+        (2.3, reach + 0.8, -1.0),
+        (3.1, reach, -1.0),
+        (3.6, 0.0, 0.0),
+        (4.1, reach, 1.0),
+    ]
+    for time, place, velocity in expected:
+        np.testing.assert_allclose(rail(time), (place, velocity), atol=1e-14)  # rounding
+    time, step = np.linspace(0.01, 7.0, 200), 1e-4
+    slope = [(rail(t + step)[0] - rail(t - step)[0]) / (2 * step) for t in time]
+    # m/s; the third derivative is at most pi^2 m/s^3, of which step^2 / 6; at the ends of a turn
+    # it jumps, which is no worse
+    np.testing.assert_allclose(slope, [rail(t)[1] for t in time], atol=2e-8)
+
+
+def test_what_hangs_from_the_bar_is_carried():
+    scene, flat = still_scene()
+    carried = Scene(scene.cloth, 2, 2, flat, None, Rail())
+    x = np.append(np.append(flat[2:].ravel(), np.zeros(6)), 0.9)
+    place, velocity = Rail()(0.9)
+    aside = np.array([place, 0, 0])
+    u = scene.cloth.input(flat[:2] + aside, np.tile([velocity, 0, 0], (2, 1)))
+    np.testing.assert_array_equal(carried.f(x, carried.hung)[:-1], scene.cloth.f(x[:-1], u))
+    np.testing.assert_array_equal(carried.positions(x)[:2], flat[:2] + aside)
+    np.testing.assert_array_equal(scene.carried(scene.hung, 0.9), scene.hung)
+
+
+def test_a_draught_blows_straight_at_the_cloth():
+    position = np.array([[0.1, 1.0, 0.0], [0.3, 0.8, 0.1]])
+    even = Draught(STILL, speed=0.7)(position, 2.0)
+    expected = 0.7 * (1 - np.exp(-2.0))  # it rises within seconds
+    np.testing.assert_allclose(even, [[0, 0, expected]] * 2, atol=1e-15)  # rounding
 
 
 # --- sensors and recordings
