@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import log, nan, pi
 
 import numpy as np
@@ -50,25 +50,52 @@ def believing(config: Config) -> Config:
     return replace(config, association=trusting, filter=replace(config.filter, rewind=0.0))
 
 
-def fitness(markers: MarkerSequence, config: Config, source: str = '') -> tuple[float, float, int]:
-    """Sums over a recording: of log likelihoods, of NIS, and of the coordinates measured.
+@dataclass(frozen=True)
+class Fitness:
+    """Sums over a recording: of log likelihoods, of NIS, and of the coordinates measured."""
 
-    The first second is left out. NaN where the filter fails on the way: no frame may be missing
-    from the sum. Raises FormatError where there is nothing to sum up.
+    log_likelihood: float
+    nis: float
+    count: int
+
+    def __add__(self, other: Fitness) -> Fitness:
+        return Fitness(
+            self.log_likelihood + other.log_likelihood,
+            self.nis + other.nis,
+            self.count + other.count,
+        )
+
+    @property
+    def cost(self) -> float:
+        """Minus the log likelihood of a coordinate, in nats, of lengths in metres."""
+        return -self.log_likelihood / self.count if self.count else nan
+
+    @property
+    def nis_per_coordinate(self) -> float:
+        """Normalised innovation squared of a coordinate: 1 of noise that is as it is said to be.
+
+        Scaling every covariance of the filter by it makes the measurements most likely.
+        """
+        return self.nis / self.count if self.count else nan
+
+
+def fitness(markers: MarkerSequence, config: Config, source: str = '') -> Fitness:
+    """How likely the measurements of a recording are, but for its first second.
+
+    NaN where the filter fails on the way: no frame may be missing from the sum. Raises
+    FormatError where there is nothing to sum up.
     """
-    tracker, total, nis, count = Tracker(believing(config)), 0.0, 0.0, 0
+    tracker, total = Tracker(believing(config)), Fitness(0.0, 0.0, 0)
     begin = int(markers.stamps[0]) + WARM_UP * NANOSECONDS if len(markers) else 0.0
     for k, stamp in enumerate(markers.stamps.tolist()):
         learnt = tracker.step(stamp, markers.positions[k], markers.visible[k]).innovation
         if tracker.counts['diverged'] or tracker.counts['lost']:
-            return nan, nan, 0
-        if learnt is None or stamp < begin or not learnt.residual.size:
-            continue
-        total, nis = total + log_likelihood(learnt), nis + learnt.nis
-        count += len(learnt.residual)
-    if not count:
+            return Fitness(nan, nan, 0)
+        if learnt is not None and learnt.residual.size and stamp >= begin:
+            total += Fitness(log_likelihood(learnt), learnt.nis, len(learnt.residual))
+    if not total.count:
         raise FormatError(
             f'{source}: no innovation after the first {WARM_UP:g} s: the recording is too short, '
             f'or the surface never starts'
         )
-    return total, nis, count
+    return total

@@ -1,0 +1,71 @@
+"""What the search for noise makes small, as one number over several recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import nan, sqrt
+
+import numpy as np
+
+from cloth_predict.config import Config
+from cloth_predict.errors import FormatError
+from cloth_predict.evaluation.cases import Case
+from cloth_predict.evaluation.judging import FEWEST, WARM_UP, asked_at
+from cloth_predict.evaluation.predictors import Hold, Tracked
+from cloth_predict.evaluation.runs import follow
+from cloth_predict.identification.likelihood import Fitness, fitness
+from cloth_predict.metrics import distances
+from cloth_predict.surface.layout import free_markers
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Sum of squares [m^2] of the errors of the free markers, and their number.
+
+    predicted: how many of them are errors of predictions, and not of what was seen last.
+    """
+
+    squares: float
+    count: int
+    predicted: int
+
+
+def prediction_errors(case: Case, config: Config, horizon: float) -> Errors:
+    """Errors of the configured filter `horizon` [s] ahead, over all that was asked.
+
+    What it does not predict counts as the marker last seen, which is what is shown then: a filter
+    does not look better for what it refuses. Raises FormatError where nothing is asked.
+    """
+    stamps = case.markers.stamps[case.ahead]
+    (held,) = follow(Hold(config), case, [horizon])
+    actual, asked = asked_at(stamps, horizon, case.reference)
+    asked = np.asarray(asked & free_markers(config) & np.isfinite(held.position).all(axis=-1))
+    if not asked.any():
+        raise FormatError(
+            f'{case.name}: nothing to judge {horizon:g} s ahead after the first {WARM_UP:g} s: '
+            f'the recording is too short, or too gappy'
+        )
+    (run,) = follow(Tracked(config), case, [horizon])
+    known = np.asarray(np.isfinite(run.position).all(axis=-1))
+    position = np.where(known[..., None], run.position, held.position)
+    squares = np.square(distances(position, actual)[asked])
+    return Errors(float(squares.sum()), int(asked.sum()), int(known[asked].sum()))
+
+
+def horizon_error(cases: Sequence[Case], config: Config, horizon: float) -> float:
+    """RMS error [mm] `horizon` [s] ahead over all recordings, of the free markers.
+
+    NaN of a filter that predicts less than 95 % of what was asked.
+    """
+    found = [prediction_errors(case, config, horizon) for case in cases]
+    count = sum(one.count for one in found)
+    if sum(one.predicted for one in found) < FEWEST * count:
+        return nan
+    return 1e3 * sqrt(sum(one.squares for one in found) / count)
+
+
+def total_fitness(cases: Sequence[Case], config: Config) -> Fitness:
+    """How likely all measurements of the recordings are; see `fitness`."""
+    found = [fitness(case.markers, config, case.name) for case in cases]
+    return sum(found[1:], found[0])
