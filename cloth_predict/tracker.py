@@ -15,7 +15,7 @@ from cloth_predict.tracking.limits import Health, judge, require_certain, spread
 from cloth_predict.tracking.motion import NANOSECONDS, ahead, surface, uncertainty
 from cloth_predict.tracking.rewind import Entry, Memory
 from cloth_predict.tracking.track import Frame, Step, Track, begin, follow
-from cloth_predict.types import BoolArray, FloatArray, IntArray, Surface
+from cloth_predict.types import Belief, BoolArray, FloatArray, IntArray, Surface
 
 __all__ = ['NANOSECONDS', 'Step', 'Tracker']
 
@@ -52,6 +52,11 @@ class Tracker:
     def triangles(self) -> IntArray:
         """Triangles of markers, shape (t, 3); none before the start, nor of a chain."""
         return self._track().now.topology.triangles if self._memory else NO_TRIANGLES
+
+    @property
+    def belief(self) -> Belief:
+        """What the filter believes of the state, after the last frame."""
+        return self._track().now.belief
 
     def step(
         self,

@@ -1,15 +1,24 @@
 """Stiffness from the material: uniform strains, a stretched strip, and what a step carries."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.linalg import eigh
 
+from cloth_predict.config import load
 from cloth_predict.errors import ClothPredictError
+from cloth_predict.evaluation.cases import case_of, frames_of
+from cloth_predict.evaluation.conditioning import condition_number, condition_numbers
+from cloth_predict.formats.recording import read
 from cloth_predict.integrators import ImplicitEuler, RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs, grid_pairs
 from cloth_predict.models.stiffness import Carried, analytic_stiffness, carried, lloyd_2007
+from cloth_predict.tracker import Tracker
 
+ROOT = Path(__file__).parents[1]
 YOUNG, THICKNESS = 3e5, 2e-3
 
 
@@ -142,3 +151,50 @@ def test_what_a_step_cannot_carry_is_said(omega, said):
     complaint = Carried(omega, 0.01).complaint
     assert said in complaint
     assert bool(said) == bool(complaint)
+
+
+# --- the condition number of P ----------------------------------------------------------------
+
+
+def test_a_condition_number_is_that_of_the_eigenvalues():
+    root = np.random.default_rng(3).normal(size=(6, 6))
+    cov = root @ root.T
+    assert condition_number(cov) == pytest.approx(np.linalg.cond(cov), rel=1e-9)  # rounding * 1e3
+    skew = np.array([[4.0, 100.0], [0.0, -0.5]])  # its singular values tell another story
+    assert condition_number(skew) == pytest.approx(8.0, rel=1e-12)  # rounding
+    assert condition_number(np.diag([1.0, 0.0])) == np.inf
+    assert np.isnan(condition_number(np.diag([1.0, np.nan])))
+
+
+@pytest.mark.parametrize(
+    ('young', 'low', 'high'),
+    [
+        (None, 1e6, 1e12),  # 1.3e10 measured
+        (7e9, 1e15, np.inf),  # beyond what 16 digits hold; 3e17 measured, as rounding has it
+    ],
+)
+def test_stiffness_of_cotton_leaves_the_covariance_singular(young, low, high):
+    config = load(ROOT / 'config' / 'towel_coarse.yaml')
+    if young:
+        springs = analytic_stiffness(young, THICKNESS, 0.51, 0.8, 5, 4, 0.25).springs
+        model = replace(config.model, springs=tuple(springs.tolist()), compression=1.0)
+        config = replace(config, model=model)
+    case = case_of(read(ROOT / 'bags' / 'towel_fan'), config, 'towel')
+    case = replace(case, markers=frames_of(case.markers, np.arange(40)))
+    found = condition_numbers(case, config)
+    assert np.isnan(found[0])  # the start is no update
+    assert low < np.median(found[20:]) < high
+    tracker = Tracker(config)
+    for k, stamp in enumerate(case.markers.stamps.tolist()):
+        tracker.step(stamp, case.markers.positions[k], case.markers.visible[k])
+    if not young:  # by singular values, which of a covariance are its eigenvalues
+        cond = np.linalg.cond(tracker.belief.cov)
+        assert found[-1] == pytest.approx(cond, rel=1e-4)  # 1e10 times rounding, and some
+
+
+def test_a_filter_without_a_covariance_is_named():
+    config = load(ROOT / 'config' / 'towel_coarse.yaml')
+    config = replace(config, filter=replace(config.filter, kind='fixed_gain'))
+    case = case_of(read(ROOT / 'bags' / 'towel_fan'), config, 'towel')
+    with pytest.raises(ClothPredictError, match='fixed_gain keeps no full P'):
+        condition_numbers(case, config)
