@@ -36,8 +36,8 @@ def warp_map(
     edges in space are taken as straight in the picture, as a renderer does: a lens bends them.
 
     pixels: vertices (u, v) at the key lines [px], shape (k, nodes, 2), NaN where one is not seen:
-    its triangles are left out; depth [m], shape (k, nodes); lines: the key lines, shape (k,), in any
-    order; vertices move linearly between them. One key line is a field that is lit at once.
+    its triangles are left out; depth [m], shape (k, nodes); lines: the key lines, in any order,
+    shape (k,); between them vertices move linearly. One key line is a field that is lit at once.
     texture: (s, t) of the vertices, shape (nodes, 2); triangles, shape (t, 3);
     size: width and height [px]; columns: lines are columns; drawn: which lines, as `slice(1, None,
     2)` of an interlaced field; out: map to draw into, whose other lines stay as they are.
