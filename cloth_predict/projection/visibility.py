@@ -55,19 +55,33 @@ def occluded(pixels: FloatArray, depth: FloatArray, triangles: IntArray) -> Bool
     if not len(triangles):
         return hidden
     corners = pixels[triangles]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    (u, v), nearest = pixels.T, depth[triangles].min(axis=1)
-    near = (u > low[:, :1]) & (u < high[:, :1]) & (v > low[:, 1:]) & (v < high[:, 1:])
-    near &= nearest[:, None] < depth
-    triangle, vertex = near.nonzero()
+    triangle, vertex = _near(pixels, corners.min(axis=1), corners.max(axis=1))
     own = (triangles[triangle] == vertex[:, None]).any(axis=1)
-    triangle, vertex = triangle[~own], vertex[~own]
+    before = depth[triangles].min(axis=1)[triangle] < depth[vertex]
+    triangle, vertex = triangle[before & ~own], vertex[before & ~own]
     weight = _barycentric(corners[triangle], pixels[vertex])
     # 1 / depth is linear over a triangle's picture
     before = 1.0 / (weight / depth[triangles[triangle]]).sum(axis=1)
     hides = (weight > 0).all(axis=1) & (before < (1 - NEARER) * depth[vertex])
     hidden[vertex[hides]] = True
     return hidden
+
+
+def _near(pixels: FloatArray, low: FloatArray, high: FloatArray) -> tuple[IntArray, IntArray]:
+    """Pairs of box and point, each of shape (k,), where the point is inside the box.
+
+    pixels, shape (points, 2); low and high, shape (boxes, 2). Points are sorted across, so that
+    few are looked at: all pairs of a large mesh would take most of the time of a frame.
+    """
+    order = np.argsort(pixels[:, 0])
+    across = pixels[order, 0]
+    first = np.searchsorted(across, low[:, 0], 'right')
+    count = np.maximum(np.searchsorted(across, high[:, 0], 'left') - first, 0)
+    box = np.repeat(np.arange(len(low)), count)
+    place = np.arange(len(box)) + np.repeat(first - (np.cumsum(count) - count), count)
+    point, v = order[place], pixels[order[place], 1]
+    inside = (v > low[box, 1]) & (v < high[box, 1])
+    return box[inside], point[inside]
 
 
 def _barycentric(corners: FloatArray, points: FloatArray) -> FloatArray:
