@@ -82,7 +82,7 @@ class MocapReplayNode(ConfiguredNode):
             return False
         self._origin = now + (SETTLE if listeners else 0.0)
         # from the steady clock, by which frames are due, to the node's
-        self._epoch = self.get_clock().now().nanoseconds - round(1e9 * now)
+        self._epoch = int(self.get_clock().now().nanoseconds) - round(1e9 * now)
         self._delay = 0.0
         self.get_logger().info(
             f'{self.config.replay.path}: {len(self._markers) - self._first} frames, '

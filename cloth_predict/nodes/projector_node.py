@@ -13,6 +13,7 @@ from cloth_predict.errors import FrameError
 from cloth_predict.formats.prediction import Prediction, UnsafeError, decode_prediction
 from cloth_predict.nodes._clock import NodeClock
 from cloth_predict.nodes._diagnostics import STEADY, Diagnostics
+from cloth_predict.nodes._maps import MapWriter
 from cloth_predict.nodes._ros import ConfiguredNode, cloud, nanoseconds, run
 from cloth_predict.nodes._vsync import FrameTimer
 from cloth_predict.projection.budget import Budget
@@ -24,6 +25,8 @@ from cloth_predict.tracking.horizons import EARLIEST, LATEST, PREDICTION
 class ProjectorNode(ConfiguredNode):
     """Makes a frame of each prediction, or, with `horizon_mode: vsync`, one for each vsync."""
 
+    _maps: MapWriter | None = None  # also of a node whose configuration is refused
+
     def __init__(self, **options: object) -> None:
         super().__init__('projector_node', **options)
         config = self.config.projector
@@ -34,6 +37,8 @@ class ProjectorNode(ConfiguredNode):
         self._seen, self._late = 0, 0
         self._vertices = self.publisher(PointCloud2, 'projector/vertices')
         self._scanlines = self.publisher(PointCloud2, 'projector/scanlines')
+        if config.warp_map:
+            self._maps = MapWriter(self, self.config.frame)
         self._diagnostics = Diagnostics(self, self._values, self._findings)
         self._timer: FrameTimer | None = None
         if self.config.horizon_mode == 'vsync':
@@ -116,6 +121,8 @@ class ProjectorNode(ConfiguredNode):
         self._vertices.publish(cloud(shown.start, frame, shown.vertices))
         published = self._time.now()
         self._scanlines.publish(cloud(shown.start, frame, shown.scanlines))
+        if self._maps and self._frames.warper:
+            self._maps.offer(shown, self._frames.warper)
         self._diagnostics.frame(time.perf_counter() - begin)
         if published is not None:
             self._account(shown, published)
@@ -150,8 +157,9 @@ class ProjectorNode(ConfiguredNode):
         self._late, self._seen = frames.counts['late'], 0
         if 2 * late > seen:
             yield 'WARN', f'{late} of {seen} predictions were too late for their frame'
-        if self._timer:
-            yield from self._timer.findings()
+        for part in (self._timer, self._maps):
+            if part:
+                yield from part.findings()
 
     def _values(self) -> dict[str, object]:
         counts, timer = self._frames.counts, self._timer
@@ -163,7 +171,15 @@ class ProjectorNode(ConfiguredNode):
         }
         if timer:
             values |= {f'{name}_frames': timer.counts[name] for name in ('late', 'missed')}
+        if self._maps:
+            values |= {'warp_maps': self._maps.published, 'skipped_warp_maps': self._maps.skipped}
         return values
+
+    def destroy_node(self) -> None:
+        """End what runs beside the node as well."""
+        if self._maps:
+            self._maps.close()
+        super().destroy_node()
 
 
 def main(args: list[str] | None = None) -> int:
