@@ -12,6 +12,8 @@ from cloth_predict.cli import main
 from cloth_predict.config import ProjectorConfig
 from cloth_predict.errors import ClothPredictError
 from cloth_predict.projection.calibration import calibrate
+from cloth_predict.projection.calibration_report import complaints
+from cloth_predict.projection.linear_transform import linear_transform
 from cloth_predict.projection.pinhole import Pinhole
 
 FRAME = (1280, 720)
@@ -45,6 +47,7 @@ def test_pairs_without_noise_give_the_projector_back(lens, fitted, gamma, throw)
     at = points()
     found = calibrate(at, truth.project(at), *FRAME, throw, fitted, gamma != 0)
     assert found.max < 1e-7  # px, where least squares end
+    assert found.converged
     assert not found.suspects
     mine = found.pinhole
     np.testing.assert_allclose(mine.intrinsic, truth.intrinsic, atol=1e-4)  # px, the same
@@ -84,7 +87,7 @@ def test_parameters_and_sigmas_equal_those_of_opencv(fitted):
 
 
 def test_sigma_is_the_spread_of_repeated_calibrations():
-    runs = 80
+    runs = 60
     truth = projector(
         distortion=(-0.2, 0.05, 0, 0), gamma=3.0, rotation=tuple(TURNED.ravel()),
         translation=(-0.1, 1.0, 2.3),
@@ -103,9 +106,9 @@ def test_sigma_is_the_spread_of_repeated_calibrations():
     within = np.mean(np.abs(scaled) < 3)
     # Student's t with 67 degrees of freedom: 99.6 %; 13 parameters that hang together
     assert 0.98 < within <= 1
-    # the spread of 80 draws is known to 8 %: three times that; the mean to 0.11
-    np.testing.assert_allclose(scaled.std(axis=0), 1, atol=0.25)
-    np.testing.assert_allclose(scaled.mean(axis=0), 0, atol=0.4)  # three and a half times that
+    # the spread of 60 draws is known to 9 %: three times that; the mean to 0.13
+    np.testing.assert_allclose(scaled.std(axis=0), 1, atol=0.27)
+    np.testing.assert_allclose(scaled.mean(axis=0), 0, atol=0.4)  # three times that
 
 
 @pytest.mark.parametrize(
@@ -126,7 +129,18 @@ def test_a_mistyped_pair_is_found(fitted, mistype):
     seen = noisy(projector(distortion=lens), at)
     assert calibrate(at, seen, *FRAME, distortion=fitted).suspects == []
     mistype(at, seen)
-    assert calibrate(at, seen, *FRAME, distortion=fitted).suspects[0] == 7
+    suspects = calibrate(at, seen, *FRAME, distortion=fitted).suspects
+    far = at[7, 0] < -1  # such a point pulls so hard that others are suspect, too
+    assert 7 in suspects if far else suspects == [7]
+
+
+def test_a_mistyped_pair_does_not_make_the_picture_count_as_mirrored():
+    at = points(14, seed=3)
+    seen = noisy(projector(), at)
+    seen[3] = [110, 170]
+    with pytest.raises(ClothPredictError, match='mirrored'):
+        linear_transform(at, seen)
+    assert calibrate(at, seen, *FRAME).suspects == [3]
 
 
 def test_what_the_pairs_do_not_tell_is_named():
@@ -138,7 +152,10 @@ def test_what_the_pairs_do_not_tell_is_named():
     assert {'alpha', 'beta', 'translation_z'} <= set(found.undetermined())
     # far from the edge of the frame a lens of five coefficients is not seen
     small = at.mean(axis=0) + 0.1 * (at - at.mean(axis=0))
-    assert 'k3' in calibrate(small, noisy(projector(), small), *FRAME, distortion=5).undetermined()
+    blind = calibrate(small, noisy(projector(), small), *FRAME, distortion=5)
+    assert 'k3' in blind.undetermined()
+    assert not blind.converged
+    assert any('came to no end' in line for line in complaints(blind, tuple(range(40))))
 
 
 def test_pairs_that_determine_no_projector_are_refused():

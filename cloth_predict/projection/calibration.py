@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cloth_predict.errors import ClothPredictError
 from cloth_predict.projection.lens import Lens
-from cloth_predict.projection.linear_transform import linear_transform
+from cloth_predict.projection.linear_transform import first_guess
 from cloth_predict.projection.pinhole import Pinhole, mirror
 from cloth_predict.types import FloatArray
 
@@ -27,6 +27,8 @@ POSE = (
     'translation_y',
     'translation_z',
 )
+EVALUATIONS = 200
+"""Longest search: most take 5 to 50, one for what the pairs do not tell may never end."""
 SUSPECT = 6.0
 """A misfit this many times the median is no noise: of a normal one that is 7 sigma."""
 QUIET = 0.25
@@ -41,7 +43,7 @@ class Calibration:
     rad and m; values of the rotation are its rotation vector, and their sigmas those of a turn
     about the axes of the projector. residuals: pixel by the projector less pixel of the pair
     [px], shape (n, 2). misfits: their lengths [px] by a fit that a mistyped pair does not spoil,
-    (n,); infinite for a point that this cannot light.
+    (n,); infinite for a point that this cannot light. converged: whether the search ended.
     """
 
     pinhole: Pinhole
@@ -50,6 +52,7 @@ class Calibration:
     sigma: FloatArray
     residuals: FloatArray
     misfits: FloatArray
+    converged: bool
 
     @property
     def rms(self) -> float:
@@ -108,12 +111,13 @@ def calibrate(
         )
     mirrored = mirror(throw, width, height)
     seen = pixels @ mirrored[:2, :2].T + mirrored[:2, 2]
-    intrinsic, rotation, translation = linear_transform(points, seen)
+    intrinsic, rotation, translation = first_guess(points, seen)
     start = _vector(names, intrinsic, translation)
     misses = partial(_misses, names, rotation, points, seen)
     # a mistyped pair draws the sum of squares to itself, and less so a sum of distances
-    robust = least_squares(misses, start, '3-point', x_scale='jac', loss='soft_l1').x
-    fit = least_squares(misses, robust, '3-point', x_scale='jac', xtol=1e-12, ftol=1e-12)
+    search = partial(least_squares, misses, jac='3-point', x_scale='jac', max_nfev=EVALUATIONS)
+    robust = search(start, loss='soft_l1').x
+    fit = search(robust, xtol=1e-12, ftol=1e-12)
     pinhole = _pinhole(names, fit.x, rotation, (width, height, throw))
     # not `misses`, which knows neither what lies behind nor where the lens folds back
     lit = _pinhole(names, robust, rotation, (width, height, throw)).project(points)
@@ -127,6 +131,7 @@ def calibrate(
         _sigma(fit.jac, fit.fun),
         fit.fun.reshape(-1, 2),
         np.where(np.isfinite(misfits), misfits, np.inf),
+        fit.status > 0,
     )
 
 
@@ -190,7 +195,9 @@ def _sigma(jacobian: FloatArray, misses: FloatArray) -> FloatArray:
     """Standard deviations of the parameters; infinite where the pairs do not tell them."""
     variance = misses @ misses / (len(misses) - jacobian.shape[1])
     scale = np.linalg.norm(jacobian, axis=0)
-    scale = np.where(scale > 0, scale, np.finfo(float).tiny)
-    _, weights, vectors = np.linalg.svd(jacobian / scale, full_matrices=False)
+    _, weights, vectors = np.linalg.svd(
+        jacobian / np.where(scale > 0, scale, 1), full_matrices=False
+    )
     inverse = vectors.T / np.maximum(weights, np.finfo(float).eps * weights[0])
-    return np.asarray(np.sqrt(variance * (inverse**2).sum(axis=1)) / scale)
+    with np.errstate(divide='ignore'):
+        return np.asarray(np.sqrt(variance * (inverse**2).sum(axis=1)) / scale)

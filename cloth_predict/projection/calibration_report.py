@@ -24,6 +24,7 @@ def summary(calibration: Calibration, lines: tuple[int, ...]) -> dict[str, Any]:
         'rms_px': calibration.rms,
         'max_px': calibration.max,
         'worst_line': lines[int(np.argmax(calibration.misfits))],
+        'converged': calibration.converged,
         'mistyped_lines': [lines[pair] for pair in calibration.suspects],
         'parameters': {
             name: {
@@ -58,12 +59,14 @@ def text(calibration: Calibration, lines: tuple[int, ...]) -> str:
 
 
 def complaints(calibration: Calibration, lines: tuple[int, ...]) -> Iterator[str]:
-    """Yield a line for each pair that seems mistyped, and one for what the pairs do not tell."""
+    """Yield a line for each pair that seems mistyped, and what the pairs do not tell."""
     usual = float(np.median(calibration.misfits))
     for pair in calibration.suspects:
         off = calibration.misfits[pair]
         found = f'is off by {off:.3g} px' if math.isfinite(off) else 'cannot be lit'
         yield f'line {lines[pair]}: seems mistyped: it {found}, half of the pairs by {usual:.2g}'
+    if not calibration.converged:
+        yield 'the search for the parameters came to no end: they are not those of the least error'
     unknown = ', '.join(calibration.undetermined())
     if unknown:
         yield (

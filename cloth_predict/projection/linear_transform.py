@@ -5,20 +5,52 @@ Hartley and Zisserman 2004, Multiple View Geometry, algorithm 7.1 and section 6.
 
 from __future__ import annotations
 
+from contextlib import suppress
+from typing import TypeAlias
+
 import numpy as np
 from scipy.linalg import rq
 
 from cloth_predict.errors import ClothPredictError
 from cloth_predict.types import FloatArray
 
+Guess: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""Camera matrix [px], shape (3, 3), rotation, (3, 3), translation [m], (3,)."""
+
 FLAT = 2e-3
 """Share of the spread of points within which they count as a plane: the noise of a mocap."""
 MEAGRE = 1e-9
 
 
-def linear_transform(
-    points: FloatArray, pixels: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+class _MirroredError(ClothPredictError):
+    pass
+
+
+def first_guess(points: FloatArray, pixels: FloatArray) -> Guess:
+    """As `linear_transform`, but one mistyped pair does not make a picture count as mirrored."""
+    try:
+        return linear_transform(points, pixels)
+    except _MirroredError:
+        guesses = []
+        for pair in range(len(points) if len(points) > 6 else 0):
+            with suppress(ClothPredictError):
+                rest = np.delete(points, pair, axis=0), np.delete(pixels, pair, axis=0)
+                guesses.append(linear_transform(*rest))
+        if not guesses:
+            raise
+        return min(guesses, key=lambda guess: _misfit(guess, points, pixels))
+
+
+def _misfit(guess: Guess, points: FloatArray, pixels: FloatArray) -> float:
+    """Median distance from pixel to pixel [px]; infinite behind the projector."""
+    intrinsic, rotation, translation = guess
+    local = points @ rotation.T + translation
+    depth = np.where(local[:, 2:] > 0, local[:, 2:], np.nan)
+    away = np.linalg.norm((local / depth) @ intrinsic[:2].T - pixels, axis=1)
+    return float(np.median(np.where(np.isfinite(away), away, np.inf)))
+
+
+def linear_transform(points: FloatArray, pixels: FloatArray) -> Guess:
     """Camera matrix, shape (3, 3), rotation, (3, 3), and translation [m], (3,), without a lens.
 
     points [m], shape (n, 3), pixels, shape (n, 2), n >= 6. Raises ClothPredictError where they
@@ -49,14 +81,14 @@ def linear_transform(
     return _parts(matrix, points)
 
 
-def _parts(matrix: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _parts(matrix: FloatArray, points: FloatArray) -> Guess:
     """Part a projection matrix, shape (3, 4), of any scale into F, R, t (Gomes 2016, eq. 2.10)."""
     # the scale's sign is such that the points are before the projector
     matrix = matrix * np.sign(np.median(_homogeneous(points) @ matrix[2]))
     if np.linalg.det(matrix[:, :3]) < 0:
-        raise ClothPredictError(
-            'the picture is mirrored, or u or v of a pair are mistyped; for a projector that '
-            'mirrors its picture by itself, give its throw'
+        raise _MirroredError(
+            'the picture is mirrored, or pairs are mistyped; for a projector that mirrors its '
+            'picture by itself, give its throw'
         )
     upper, rotation = rq(matrix[:, :3])
     signs = np.sign(np.diag(upper))
