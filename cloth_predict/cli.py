@@ -9,21 +9,25 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-from tqdm import tqdm
 
 from cloth_predict import __version__
 from cloth_predict import commands as run
-from cloth_predict.config import Config, ProjectorConfig
+from cloth_predict.command_line.options import (
+    Command,
+    counted,
+    delay,
+    horizon,
+    positive,
+    progress_bar,
+    rate,
+    whole,
+)
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
 from cloth_predict.evaluation import projection_report, report
 from cloth_predict.evaluation.degrade import Degradation
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.performance import one_core
 from cloth_predict.projection import calibration_report
-from cloth_predict.projection.calibration import COUNTS
-from cloth_predict.projection.pinhole import MIRRORS
 from cloth_predict.share import find
 from cloth_predict.simulate import SCENARIOS
 
@@ -59,10 +63,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--version', action='version', version=__version__)
     commands = parser.add_subparsers(required=True, metavar='COMMAND')
 
-    def command(name: str, call: Callable[[argparse.Namespace], None], text: str) -> _Command:
+    def command(name: str, call: Callable[[argparse.Namespace], None], text: str) -> Command:
         added = commands.add_parser(name, help=text, description=text)
         added.set_defaults(call=call, usage=added.error)
-        return _Command(added)
+        return Command(added)
 
     demo = command(
         'demo', _demo, 'run the live graph on a recording and show how well it predicts'
@@ -73,8 +77,8 @@ def _parser() -> argparse.ArgumentParser:
     simulate = command('simulate', _simulate, 'make a recording with known truth')
     simulate.add('scenario', choices=sorted(SCENARIOS))
     simulate.output_bag()
-    simulate.add('--seed', type=_whole, default=0)
-    simulate.add('--duration', type=_positive, default=12.0, metavar='S', help='length in seconds')
+    simulate.add('--seed', type=whole, default=0)
+    simulate.add('--duration', type=positive, default=12.0, metavar='S', help='length in seconds')
     convert = command('convert', _convert, 'turn a Motive CSV export into a bag')
     convert.add('file', type=Path)
     convert.output_bag()
@@ -86,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.config().json()
     evaluate.add(
         '--horizon',
-        type=_horizon,
+        type=horizon,
         nargs='+',
         default=[],
         metavar='S',
@@ -114,14 +118,12 @@ def _parser() -> argparse.ArgumentParser:
     project.config().json()
     project.add(
         '--delay',
-        type=_delay,
+        type=delay,
         default=0.05,
         metavar='S',
         help='from the capture of the markers to the start of the frame; default 0.05',
     )
-    project.add(
-        '--fps', type=_rate, metavar='HZ', help='frames per second; default: projector.fps'
-    )
+    project.add('--fps', type=rate, metavar='HZ', help='frames per second; default: projector.fps')
     project.add('-o', '--output', type=Path, help='folder for table, figures and configuration')
     calibrate = command(
         'calibrate-projector',
@@ -132,158 +134,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-class _Command:
-    """Options that several commands share."""
-
-    def __init__(self, parser: argparse.ArgumentParser) -> None:
-        self.add = parser.add_argument
-
-    def config(self, default: Path | None = None) -> _Command:
-        self.add(
-            '-c',
-            '--config',
-            type=Path,
-            default=default,
-            required=default is None,
-            help='parameter file (YAML)',
-        )
-        return self
-
-    def json(self) -> _Command:
-        self.add('--json', action='store_true', help='print one JSON object and nothing else')
-        return self
-
-    def degradation(self) -> _Command:
-        """Options that make the recording worse; what it is compared with stays."""
-        self.add('--drop', type=_share, default=0.0, metavar='SHARE', help='hide samples')
-        self.add(
-            '--burst', type=_positive, default=0.0, metavar='S', help='length of each such gap'
-        )
-        self.add(
-            '--gone',
-            nargs=2,
-            default=(0, 0.0),
-            metavar=('MARKERS', 'S'),
-            action=_Gone,
-            help='hide so many markers for so long, show all for as long, and again',
-        )
-        self.add(
-            '--swap',
-            type=_share,
-            default=0.0,
-            metavar='SHARE',
-            help='swap two labels in this share of the frames',
-        )
-        self.add(
-            '--unlabelled',
-            action='store_true',
-            help='take the labels away, but for hold, kf_cv and kf_ca, which need them',
-        )
-        self.add('--seed', type=_whole, default=0, help='of what is hidden, swapped or shuffled')
-        return self
-
-    def projector(self) -> _Command:
-        """Options of a calibration."""
-        self.add('pairs', type=Path, help='CSV with x, y, z (m, mocap frame) and u, v (pixels)')
-        for side in ('width', 'height'):
-            text = f'{side} of the frame in pixels'
-            self.add(f'--{side}', type=_pixels, required=True, metavar='PX', help=text)
-        self.add(
-            '-o', '--output', type=Path, required=True, help='file to write, of OpenCV (YAML)'
-        )
-        self.add(
-            '--distortion',
-            type=int,
-            default=0,
-            choices=COUNTS,
-            help='how many of k1, k2, p1, p2, k3 to fit; default: no lens',
-        )
-        self.add('--skew', action='store_true', help='fit the skew, too')
-        self.add(
-            '--throw',
-            default='front',
-            choices=MIRRORS,
-            help='projector.throw with which the pairs were taken; default: front',
-        )
-        return self
-
-    def output_bag(self) -> _Command:
-        self.add('-o', '--output', type=Path, required=True, help='bag to write (a folder)')
-        return self
-
-
-class _Gone(argparse.Action):
-    """A number of markers and a time in seconds."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option: str | None = None,
-    ) -> None:
-        try:
-            namespace.gone = _whole(values[0]), _positive(values[1])
-        except (ValueError, argparse.ArgumentTypeError) as error:
-            raise argparse.ArgumentError(self, str(error)) from None
-
-
-def _share(text: str) -> float:
-    value = float(text)
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f'{text} is not a share from 0 to 1')
-    return value
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < float('inf'):
-        raise argparse.ArgumentTypeError(f'{text} is not a positive number')
-    return value
-
-
-def _horizon(text: str) -> float:
-    value, most = _positive(text), Config.__dataclass_fields__['horizon'].metadata['high']
-    if value > most:
-        raise argparse.ArgumentTypeError(f'{text} s is more than {most} s')
-    return value
-
-
-def _delay(text: str) -> float:
-    value = float(text)
-    if not 0 <= value < float('inf'):
-        raise argparse.ArgumentTypeError(f'{text} s is no delay: it is 0 or more')
-    return value
-
-
-def _rate(text: str) -> float:
-    value, most = _positive(text), ProjectorConfig.__dataclass_fields__['fps'].metadata['high']
-    if value > most:
-        raise argparse.ArgumentTypeError(f'{text} Hz is more than {most:g} Hz')
-    return value
-
-
-def _whole(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f'{text} is negative')
-    return value
-
-
-def _pixels(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f'{text} is not a number of pixels')
-    return value
-
-
-def _bar(text: str, unit: str) -> Callable[[float], tqdm]:
-    """Progress bar; shows itself only on a terminal."""
-    return lambda total: tqdm(total=total, desc=text, unit=unit, disable=None, leave=False)
-
-
 def _simulate(options: argparse.Namespace) -> None:
-    with _bar(options.scenario, 's')(options.duration) as bar:
+    with progress_bar(options.scenario, 's')(options.duration) as bar:
         run.simulate(options.scenario, options.seed, options.duration, options.output, bar.update)
     print(f'{options.output}: {options.scenario}, {options.duration:g} s, seed {options.seed}')
 
@@ -299,8 +151,8 @@ def _convert(options: argparse.Namespace) -> None:
 
 
 def _predict(options: argparse.Namespace) -> None:
-    with _bar('predict', 'frame')(0) as bar:
-        counts = run.predict(options.bag, options.config, options.output, _counted(bar))
+    with progress_bar('predict', 'frame')(0) as bar:
+        counts = run.predict(options.bag, options.config, options.output, counted(bar))
     print(f'{options.output}: ' + ', '.join(f'{n} frames {what}' for what, n in counts.items()))
 
 
@@ -320,8 +172,8 @@ def _evaluate(options: argparse.Namespace) -> None:
     ladder = run.Ladder(
         tuple(options.horizon), tuple(options.filters), options.best_baselines, worse
     )
-    with _bar('evaluate', 'frame')(0) as bar:
-        found = run.evaluate(options.bag, options.config, ladder, options.output, _counted(bar))
+    with progress_bar('evaluate', 'frame')(0) as bar:
+        found = run.evaluate(options.bag, options.config, ladder, options.output, counted(bar))
     print(json.dumps(report.summaries(found)) if options.json else report.text(found))
 
 
@@ -342,14 +194,14 @@ def _calibrate_projector(options: argparse.Namespace) -> None:
 
 
 def _project(options: argparse.Namespace) -> None:
-    with _bar('project', 'frame')(0) as bar:
+    with progress_bar('project', 'frame')(0) as bar:
         found = run.project(
             options.bag,
             options.config,
             options.delay,
             options.fps,
             options.output,
-            _counted(bar),
+            counted(bar),
         )
     if options.json:
         print(json.dumps(projection_report.summary(found)))
@@ -360,20 +212,12 @@ def _project(options: argparse.Namespace) -> None:
 def _demo(options: argparse.Namespace) -> None:
     from cloth_predict.nodes.demo import demo  # ROS is needed by this command only
 
-    with _bar('demo', 'frame')(0) as bar:
-        result = demo(options.bag, options.config, options.output, _counted(bar))
+    with progress_bar('demo', 'frame')(0) as bar:
+        result = demo(options.bag, options.config, options.output, counted(bar))
     if options.json:
         print(json.dumps(result.summary()))
     else:
         print(result.text())
-
-
-def _counted(bar: tqdm) -> Callable[[int, int], None]:
-    def show(done: int, total: int) -> None:
-        bar.total = total
-        bar.update(done)
-
-    return show
 
 
 if __name__ == '__main__':

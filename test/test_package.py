@@ -99,13 +99,23 @@ ONLY = {
     'observations': {'types', 'errors', 'models'},
 }
 NEVER = {
-    'filters': {'surface', 'markers', 'tracking', 'tracker', 'evaluation', 'cli', 'nodes'},
-    'surface': {'tracking', 'tracker', 'evaluation', 'cli', 'nodes'},
-    'markers': {'tracking', 'tracker', 'evaluation', 'cli', 'nodes'},
-    'tracking': {'tracker', 'evaluation', 'cli', 'nodes', 'formats'},
-    'tracker': {'evaluation', 'cli', 'nodes', 'formats'},
+    'filters': {
+        'surface',
+        'markers',
+        'tracking',
+        'tracker',
+        'evaluation',
+        'cli',
+        'command_line',
+        'nodes',
+    },
+    'surface': {'tracking', 'tracker', 'evaluation', 'cli', 'command_line', 'nodes'},
+    'markers': {'tracking', 'tracker', 'evaluation', 'cli', 'command_line', 'nodes'},
+    'tracking': {'tracker', 'evaluation', 'cli', 'command_line', 'nodes', 'formats'},
+    'tracker': {'evaluation', 'cli', 'command_line', 'nodes', 'formats'},
     'cli': {'cli'},
-    'nodes': {'cli'},
+    'command_line': {'cli', 'nodes'},
+    'nodes': {'cli', 'command_line'},
 }
 
 
@@ -131,7 +141,7 @@ def may_import(part, name):
     target = name.split('.')[1]
     if part in ONLY:
         return target in ONLY[part]
-    return target not in NEVER.get(part, {'cli', 'nodes'})
+    return target not in NEVER.get(part, {'cli', 'command_line', 'nodes'})
 
 
 MODULES = sorted(
