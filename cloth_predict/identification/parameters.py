@@ -1,7 +1,7 @@
 """What is searched: values of a configuration, on a scale without borders.
 
-A positive value is searched by its logarithm, one between two limits by its logit; lists have an
-entry for each spring or node (Gomes 2016, section 5.2).
+A positive value is searched by its logarithm, a share by its logit between its limits; lists have
+an entry for each spring or node (Gomes 2016, section 5.2).
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class Parameter:
 
     @property
     def between(self) -> bool:
-        """Whether it is searched between two limits, by its logit."""
-        return bool(np.isfinite(self.high))
+        """Whether it is a share, searched between its limits by its logit."""
+        return self.high <= 1.0
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,8 @@ class Space:
         """Lowest and highest vector, each of shape (n,)."""
         reach = np.where(self._between, logit(1.0 - WITHIN), np.log(self.farthest))
         middle = np.where(self._between, 0.0, self.start)
-        return middle - reach, middle + reach
+        most = [np.inf if p.between else np.log(p.high) for p in self.parameters]
+        return middle - reach, np.minimum(middle + reach, most)
 
     def searched(self, values: Sequence[float] | FloatArray) -> FloatArray:
         """Vector of values of the parameters, shape (n,)."""
@@ -193,10 +194,10 @@ def _parameters(config: Config, name: str) -> list[Parameter]:
         raise ConfigError(f'{name}: is not a number that can be searched')
     low = limits['above'] if limits['low'] is None else limits['low']
     high = np.inf if limits['high'] is None else limits['high']
-    if low is None or (low != 0 and not np.isfinite(high)):
+    if low is None or (low != 0 and high > 1.0):
         raise ConfigError(f'{name}: has no lower limit, so that it cannot be searched')
     found = [
-        Parameter(group, field, i, v, low, high) for i, v in entries if v > 0 or high < np.inf
+        Parameter(group, field, i, v, low, high) for i, v in entries if v > 0 or high <= 1
     ]
     if not found:
         raise ConfigError(f'{name}: is 0; a search needs a first value above it')

@@ -95,6 +95,20 @@ class Trajectory:
         """Number of scenarios, whose costs add up."""
         return len(self.scenarios)
 
+    @property
+    def weight(self) -> float:
+        """Weights of all that is known, so that cost by weight is a mean squared distance."""
+        known = [np.isfinite(s.target).all(axis=-1).sum(axis=1) for s in self.scenarios]
+        pairs = zip(self.scenarios, known, strict=True)
+        return float(sum(scenario.weights(self.alpha) @ count for scenario, count in pairs))
+
+    @property
+    def blocks(self) -> IntArray:
+        """Which residuals belong together: those of a scenario."""
+        mesh = self.build(self.space.config)
+        sizes = [len(s.times) * len(_rows(mesh, s)) for s in self.scenarios]
+        return np.repeat(np.arange(self.parts), sizes)
+
     def part(self, k: int, vector: FloatArray) -> float:
         """Cost of a scenario; NaN where the model does not get to its end."""
         try:
