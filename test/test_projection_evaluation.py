@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 
 from cloth_predict import cli
 from cloth_predict.config import Config, build, load
@@ -19,7 +20,7 @@ from cloth_predict.evaluation.beam import TrueSurface, nearest
 from cloth_predict.evaluation.bootstrap import RESAMPLES, quantile_interval
 from cloth_predict.evaluation.cases import case_of, labelled_case
 from cloth_predict.evaluation.projection import METHODS, Compensation, light, project
-from cloth_predict.evaluation.projection_methods import Known, thesis_times
+from cloth_predict.evaluation.projection_methods import Known, knowledge, thesis_times
 from cloth_predict.evaluation.projection_report import Misregistration, summary, text
 from cloth_predict.formats.bag import Recording, Truth, write_recording
 from cloth_predict.formats.recording import read
@@ -220,7 +221,7 @@ def test_errors_of_each_field(scan: str, begins: list[float]) -> None:
         p95 = [MM * SPEED * np.percentile(np.tile(one, 2), 95) for one in expected]
         fields = [one['p95_mm'] for one in told['fields']]
         np.testing.assert_allclose(fields, p95, rtol=1e-9)  # rounding
-        assert text(found).count('\n') == 2 + 4 * (1 + len(begins))
+        assert text(found).count('\n') == 3 + 4 * (1 + len(begins))
     else:
         assert 'fields' not in told
 
@@ -308,6 +309,32 @@ def test_rows_are_in_the_order_in_which_the_beam_meets_them() -> None:
     mesh = replace(config.model, topology='delaunay', nodes=20)
     found = thesis_times(mesh, pixels, scans['down'])
     np.testing.assert_allclose(found, 0.1 * (pixels[:, 1] - 340) / 400, atol=1e-15)  # rounding
+
+
+def test_what_is_known_when_a_frame_is_made() -> None:
+    config, markers = swinging('implicit_euler')
+    config = replace(config, projector=replace(config.projector, motion='model'))
+    hidden = np.array(markers.visible)
+    hidden[93:, 8] = False
+    markers = replace(markers, visible=hidden)
+    case = labelled_case(markers, config, 'x')
+    starts = np.array([1_003_000_000, 1_103_000_000])
+    known = list(knowledge(Tracker(config), case, starts, 0.05, lambda frames: None))
+    tracker = Tracker(config)
+    for k in range(96):  # 0.953 s are 95.3 frames
+        tracker.step(k * STEP, markers.positions[k], markers.visible[k])
+    assert known[0].stamp == 950_000_000
+    ahead, after = tracker.predict(0.053), tracker.predict(0.153)
+    for found, expected in ((known[0].surface, ahead), (known[0].end, after)):
+        assert found.stamp == expected.stamp
+        np.testing.assert_array_equal(found.position, expected.position)
+    assert ahead.stamp == 1_003_000_000
+    np.testing.assert_array_equal(known[0].seen[:8], markers.positions[95, :8])
+    np.testing.assert_array_equal(known[0].seen[8], markers.positions[92, 8])
+    assert known[1].stamp == 1_050_000_000
+    # nothing is known of a surface that has not begun
+    late = list(knowledge(Tracker(config), case, starts, 1.2, lambda frames: None))
+    assert [one.surface for one in late] == [None, None]
 
 
 # --- the checks of the thesis ------------------------------------------------------------------
@@ -398,13 +425,18 @@ def test_numbers_of_known_errors() -> None:
 # --- the picture -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize('direction', ['down', 'left'])
-def test_the_viewer_sees_the_picture_where_it_belongs(direction: str) -> None:
+@pytest.mark.parametrize(('direction', 'dense'), [('down', False), ('left', True)])
+def test_the_viewer_sees_the_picture_where_it_belongs(direction: str, dense: bool) -> None:
     config = board(direction=direction)
     stamps = np.arange(201) * STEP
     carried = np.outer(1e-9 * stamps - 1.0, [SPEED, 0.0, 0.0])[:, None]
     moving = sequence(stamps, vertices() + carried)
-    surface = TrueSurface.of(labelled_case(moving, config, 'x'), None, grid_triangles(5, 4))
+    mesh = finer_grid(9, 7).reshape(-1, 3) + carried
+    ids = np.full(63, -1)
+    ids[[0, -1]] = 0, 19
+    truth = Truth(stamps, mesh.reshape(201, 9, 7, 3), ids.reshape(9, 7)) if dense else None
+    case = labelled_case(moving, config, 'x')
+    surface = TrueSurface.of(case, truth, grid_triangles(5, 4))
     one = crossing(config)
     found = light('x', one.known, one.starts, surface, config, 0.05)
     warper = Warper.of(config, vertices())
@@ -419,6 +451,54 @@ def test_the_viewer_sees_the_picture_where_it_belongs(direction: str) -> None:
     seen = late < 1
     # as above
     np.testing.assert_allclose(wrong[inner][seen, 0], late[seen], atol=5e-4)
+
+
+def test_errors_between_the_vertices_of_a_board_and_of_a_bent_one() -> None:
+    config = board()
+    one = crossing(config)
+    stamps = np.arange(201) * STEP
+    time = 1e-9 * stamps - 1.0
+    fine = finer_grid(9, 7)
+    ids = np.full((9, 7), -1)
+    ids[::2, ::2] = np.arange(20).reshape(5, 4)
+    carried = np.outer(time, [SPEED, 0.0, 0.0])[:, None]
+    case = labelled_case(sequence(stamps, vertices() + carried), config, 'x')
+    for bent in (0.0, 0.01):
+        mesh = fine.copy()
+        mesh[1::2, :, 2] += bent  # rows that no marker is on stand out
+        truth = Truth(stamps, (mesh.reshape(-1, 3) + carried).reshape(201, 9, 7, 3), ids)
+        surface = TrueSurface.of(case, truth, grid_triangles(5, 4))
+        assert surface.grid == (9, 7)
+        found = light('x', one.known, one.starts, surface, config, 0.05).between
+        assert found is not None
+        assert found.shape == (4, 2, 63)
+        y = (540.0 - FOCAL * mesh[..., 1] / (AWAY - mesh[..., 2])) / (1080 * 60)
+        drawn = np.asarray(y).ravel()
+        inner = mesh[..., 0].ravel() < 0.12  # elsewhere the board has left what is drawn
+        if not bent:
+            np.testing.assert_allclose(found[3, 1], 0, atol=1e-7)  # m; 1e-3 lines are 2e-8 s
+            error = SPEED * drawn
+            np.testing.assert_allclose(found[1, 1, inner], error[inner], atol=1e-12)  # rounding
+        else:
+            # a node gets what is drawn for the place of the flat board behind it, which belongs
+            # to another place of the bent one
+            way = (AWAY / (AWAY - mesh[..., 2]))[..., None]
+            flat = (mesh[..., :2] * way).reshape(-1, 2)
+            flat[:, 0] += SPEED * drawn * (way.ravel() - 1)  # and where it has moved by then
+            rows, cols = fine[::-1, 0, 1], fine[0, :, 0]
+            known = RegularGridInterpolator((rows, cols), mesh[::-1], bounds_error=False)
+            expected = np.linalg.norm(known(flat[:, ::-1]) - mesh.reshape(-1, 3), axis=1)
+            lit = np.isfinite(expected + found[3, 1])
+            assert lit.sum() >= 43  # the nodes that stand out at the edges get no light
+            assert expected[lit].max() > 8e-4  # m
+            np.testing.assert_allclose(found[3, 1, lit], expected[lit], atol=2e-7)  # m; as above
+    assert summary(crossing(board()))['methods']['full']['surface']['p95_mm'] is None
+
+
+def finer_grid(rows: int, cols: int) -> FloatArray:
+    """Positions [m] of a finer mesh of the board, shape (rows, cols, 3)."""
+    y, x = np.meshgrid(np.linspace(0.2, -0.2, rows), np.linspace(-0.15, 0.15, cols), indexing='ij')
+    return np.stack([x, y, np.zeros_like(x)], axis=-1)
 
 
 # --- recordings --------------------------------------------------------------------------------

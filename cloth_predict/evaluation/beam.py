@@ -104,14 +104,14 @@ class Draw:
 class TrueSurface:
     """The surface as it truly moves: its vertices, and a mesh that may be finer.
 
-    triangles of the mesh, shape (t, 3); none of a chain. shape: rows and columns of the mesh, or
-    one row where it has none.
+    triangles of the mesh, shape (t, 3); none of a chain. grid: rows and columns of the mesh, where
+    its corners are those of a grid of vertices; None otherwise.
     """
 
     vertices: Path
     mesh: Path
     triangles: IntArray
-    shape: tuple[int, int]
+    grid: tuple[int, int] | None = None
 
     @classmethod
     def of(cls, case: Case, truth: Truth | None, triangles: IntArray) -> TrueSurface:
@@ -121,14 +121,16 @@ class TrueSurface:
         """
         vertices = Path.of(case.reference.markers)
         if truth is None:
-            return cls(vertices, vertices, triangles, (1, len(triangles)))
+            return cls(vertices, vertices, triangles)
         frames, rows, cols = truth.surface.shape[:3]
         _, first = np.unique(truth.stamps, return_index=True)
         names = tuple(map(str, range(rows * cols)))
         position = truth.surface.reshape(frames, -1, 3)[first]
         everything = np.ones(position.shape[:2], bool)
         mesh = MarkerSequence(truth.stamps[first], names, position, everything)
-        return cls(vertices, Path.of(mesh), grid_triangles(rows, cols), (rows, cols))
+        ends = truth.ids.ravel()[[0, -1]] == [0, truth.ids.max()]
+        grid = (rows, cols) if ends.all() else None
+        return cls(vertices, Path.of(mesh), grid_triangles(rows, cols), grid)
 
     def drawn(self, begin: float, pinhole: Pinhole, scan: Scan, field: int) -> Draw:
         """When a field of the frame that begins at `begin` [s] meets each vertex.

@@ -12,6 +12,7 @@ import numpy as np
 from cloth_predict.config import Config
 from cloth_predict.errors import ConfigError, FormatError
 from cloth_predict.evaluation.beam import TrueSurface
+from cloth_predict.evaluation.between import between
 from cloth_predict.evaluation.cases import Case
 from cloth_predict.evaluation.judging import BLOCK, WARM_UP
 from cloth_predict.evaluation.projection_methods import METHODS, Known, Shown, knowledge, show
@@ -33,7 +34,8 @@ class Compensation:
     markers then; error [m] and error_px, shape (methods, frames, fields, nodes), NaN where not
     judged; missed, of that shape: rays that met no surface; dt [s], shape (frames, fields, nodes),
     and actual [m], (frames, fields, nodes, 3): when the beam truly meets the vertices, and where;
-    known: what was known of each frame; asked: frames that were to be drawn; free, (nodes,).
+    known: what was known of each frame; asked: frames that were to be drawn; free, (nodes,);
+    between [m], shape (methods, some frames, nodes of the mesh): as `between`.
     """
 
     bag: str
@@ -52,6 +54,7 @@ class Compensation:
     known: list[Known]
     asked: int
     free: BoolArray
+    between: FloatArray | None
 
     @property
     def judged(self) -> BoolArray:
@@ -66,6 +69,14 @@ class Compensation:
     def shown(self, frame: int) -> Shown:
         """What was drawn of a frame."""
         return show(self.known[frame], self.pinhole, self.scan, self.config)
+
+    @property
+    def has_picture(self) -> bool:
+        """Whether the texture is known all over the surface."""
+        surface = self.surface
+        return bool(len(surface.triangles)) and (
+            surface.mesh is surface.vertices or surface.grid is not None
+        )
 
     @property
     def block(self) -> int:
@@ -126,7 +137,7 @@ def light(
         raise FormatError(f'{bag}: there is a prediction for none of its {len(known)} frames')
     chosen = [known[k] for k in rows]
     shown = [show(one, pinhole, scan, config) for one in chosen]
-    times = 1e-9 * (starts[rows] - surface.vertices.start)
+    times = np.asarray(1e-9 * (starts[rows] - surface.vertices.start))
     landed = [_landed(a, b, surface, pinhole, scan) for a, b in zip(times, shown, strict=True)]
     error = np.stack([one.error for one in landed], axis=1)
     if not np.isfinite(error).any():
@@ -151,6 +162,7 @@ def light(
         known=chosen,
         asked=len(known),
         free=free_markers(config),
+        between=between(times, shown, surface, pinhole, scan, config.model.shape),
     )
 
 

@@ -104,10 +104,9 @@ def lit_points(found: Compensation, frame: int, of_vertices: FloatArray) -> Lit:
 
 def _texture_of_mesh(found: Compensation, of_vertices: FloatArray) -> FloatArray:
     """Texture of the nodes of the true mesh, shape (nodes, 2), from that of the vertices."""
-    nodes = found.surface.mesh.seen.shape[1]
-    if nodes == len(of_vertices):
+    if found.surface.grid is None:
         return of_vertices
-    rows, cols = found.surface.shape
+    rows, cols = found.surface.grid
     corners = of_vertices.reshape(*found.config.model.shape, 2)
     s = np.linspace(corners[0, 0, 0], corners[0, -1, 0], cols)
     t = np.linspace(corners[0, 0, 1], corners[-1, 0, 1], rows)
