@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from math import log10, sqrt
 
 from cloth_predict.config import Config, FilterConfig
-from cloth_predict.identification.parameters import Space
 
 PROCESS, MEASUREMENT = 'filter.process_noise', 'filter.measurement_noise'
 
@@ -51,22 +50,27 @@ class Range:
 class Noise:
     """What is searched of a configuration, by the names that a parameter file has."""
 
-    space: Space
+    config: Config
     ranges: dict[str, Range]
 
     @classmethod
     def of(cls, config: Config, fixed: Iterable[str] = ()) -> Noise:
         """Search Q, R, and sigma and tau of the force and of the wind, if any; but not `fixed`."""
-        spans = {PROCESS: (3.0, 1.0), MEASUREMENT: (1.5, 0.5)}
-        for group, kind in (('force', config.force.kind), ('wind', config.wind.kind)):
-            if kind != 'none':
-                spans |= {f'{group}.sigma': (1.5, 0.5), f'{group}.tau': (1.0, 0.5)}
-        if not config.filter.process_noise:  # no decades lead away from 0
-            some = replace(config.filter, process_noise=FilterConfig.process_noise)
-            config = replace(config, filter=some)
-        space = Space.of(config, [name for name in spans if name not in fixed])
-        each = zip(space.parameters, space.names, strict=True)
-        return cls(space, {name: Range(found.first, *spans[name]) for found, name in each})
+        q = config.filter.process_noise or FilterConfig.process_noise  # no decades lead from 0
+        found = {
+            PROCESS: Range(q, 3.0, 1.0),
+            MEASUREMENT: Range(config.filter.measurement_noise, 1.5, 0.5),
+        }
+        for group, unknown in (('force', config.force), ('wind', config.wind)):
+            if unknown.kind != 'none':
+                found[f'{group}.sigma'] = Range(unknown.sigma, 1.5, 0.5)
+                found[f'{group}.tau'] = Range(unknown.tau, 1.0, 0.5)
+        return cls(config, {name: one for name, one in found.items() if name not in fixed})
+
+    @property
+    def grid_size(self) -> int:
+        """Trials of a sweep: the given values, and each parameter's others in turn."""
+        return 1 + sum(len(around.grid) - 1 for around in self.ranges.values())
 
     @property
     def first(self) -> dict[str, float]:
@@ -75,7 +79,7 @@ class Noise:
 
     def apply(self, values: Mapping[str, float]) -> Config:
         """Return the configuration with these values."""
-        return self.space.apply(self.space.searched([values[name] for name in self.ranges]))
+        return _with(self.config, values)
 
 
 def scaled(config: Config, variance: float) -> Config:
@@ -83,20 +87,23 @@ def scaled(config: Config, variance: float) -> Config:
 
     No estimate and no prediction changes by it, only how certain they are.
     """
-    c, sigma, f = variance, sqrt(variance), config.filter
-    return replace(
-        config,
-        filter=replace(
-            f,
-            process_noise=c * f.process_noise,
-            measurement_noise=sigma * f.measurement_noise,
-            initial_velocity=sigma * f.initial_velocity,
-        ),
-        force=replace(config.force, sigma=sigma * config.force.sigma),
-        wind=replace(
-            config.wind,
-            sigma=sigma * config.wind.sigma,
-            common_sigma=sigma * config.wind.common_sigma,
-        ),
-        anchors=replace(config.anchors, process_noise=c * config.anchors.process_noise),
-    )
+    densities = [PROCESS, 'anchors.process_noise']
+    sigmas = [MEASUREMENT, 'filter.initial_velocity']
+    sigmas += ['force.sigma'] if config.force.kind != 'none' else []
+    sigmas += ['wind.sigma', 'wind.common_sigma'] if config.wind.kind != 'none' else []
+    factors = dict.fromkeys(densities, variance) | dict.fromkeys(sigmas, sqrt(variance))
+    return _with(config, {n: factor * _value(config, n) for n, factor in factors.items()})
+
+
+def _value(config: Config, name: str) -> float:
+    group, field = name.split('.')
+    return float(getattr(getattr(config, group), field))
+
+
+def _with(config: Config, values: Mapping[str, float]) -> Config:
+    """Return the configuration with these values, to six digits: no data tell more."""
+    for name, value in values.items():
+        group, field = name.split('.')
+        changed = replace(getattr(config, group), **{field: float(f'{value:.6g}')})
+        config = replace(config, **{group: changed})
+    return config
