@@ -8,6 +8,7 @@ from setuptools import find_packages, setup
 
 NAME = 'cloth_predict'
 SHARE = Path('share', NAME)
+SEARCHES = ['cma>=3.3', 'optuna>=4.0']
 VERSION = re.findall(r"^__version__ = '(.+)'$", Path(NAME, '__init__.py').read_text(), re.M)[0]
 
 
@@ -51,8 +52,11 @@ setup(
         'tqdm>=4.66',
     ],
     extras_require={
+        # What the searches of `identify` and `tune` stand on; no node and no other command does.
+        'identify': SEARCHES,
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': [
+            *SEARCHES,
             'hypothesis>=6.100',
             'mcap-ros2-support>=0.5.5',
             'opencv-python-headless>=4.6',
