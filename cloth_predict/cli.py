@@ -12,6 +12,7 @@ from pathlib import Path
 
 from cloth_predict import __version__
 from cloth_predict import commands as run
+from cloth_predict.command_line import identify
 from cloth_predict.command_line.options import (
     Command,
     counted,
@@ -131,6 +132,7 @@ def _parser() -> argparse.ArgumentParser:
         'fit a projector to pairs of points and pixels',
     )
     calibrate.projector().json()
+    identify.add(command)
     return parser
 
 

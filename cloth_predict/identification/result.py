@@ -68,6 +68,13 @@ class Result:
     trace: tuple[tuple[int, float], ...]
     stopped: str
 
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended it."""
+        return self.stopped == INTERRUPTED
+
+
+INTERRUPTED = 'interrupted'
 
 Callback = Callable[[int, float], None]
 """Called after each evaluation with their number and the best cost, infinite before the first."""
@@ -142,7 +149,7 @@ class Search:
         except SpentError:
             stopped = 'the budget is spent'
         except KeyboardInterrupt:
-            stopped = 'interrupted'
+            stopped = INTERRUPTED
         if self.best is None:
             raise DivergedError(
                 f'no valid result: none of {self.evaluations} evaluations has a finite cost '

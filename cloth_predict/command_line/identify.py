@@ -1,0 +1,130 @@
+"""The command `identify`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+from tqdm import tqdm
+
+from cloth_predict.command_line.options import Add, horizon, pixels, positive, progress_bar, whole
+from cloth_predict.config import load
+from cloth_predict.errors import ClothPredictWarning
+from cloth_predict.identification.identified import Identified, Outputs, Settings
+from cloth_predict.identification.identify import identify
+from cloth_predict.identification.task import ALPHA, BUDGETS, OPTIMISERS, USUAL, WINDOW, Task
+
+
+def add(command: Add) -> None:
+    """Add the command."""
+    parser = command(
+        'identify', _identify, 'find springs, dampers, masses and forces from recordings'
+    )
+    parser.add('bag', type=Path, nargs='+', help='recording; of several the costs add up')
+    parser.config().json()
+    parser.add(
+        '-o', '--output', type=Path, required=True, help='parameter file to write, or a folder'
+    )
+    parser.add(
+        '--held-out',
+        type=Path,
+        nargs='+',
+        default=[],
+        metavar='BAG',
+        help='recordings on which the result is judged, and nothing is found',
+    )
+    parser.add(
+        '--objective',
+        choices=sorted(USUAL),
+        default='horizon',
+        help='error of predictions (default), or of the model left to itself',
+    )
+    parser.add(
+        '--parameters',
+        nargs='+',
+        default=[],
+        metavar='NAME',
+        help='parameters to find, such as model.damping; default: those that are switched on',
+    )
+    parser.add('--per-spring', action='store_true', help='find a value for each spring and damper')
+    parser.add(
+        '--optimiser',
+        choices=sorted(OPTIMISERS),
+        help='default: cma, or gradient for trajectories',
+    )
+    parser.add(
+        '--budget',
+        type=pixels,
+        metavar='N',
+        help='most evaluations of the cost; default: '
+        + ', '.join(f'{name} {count}' for name, count in BUDGETS.items()),
+    )
+    parser.add(
+        '--horizon',
+        type=horizon,
+        metavar='S',
+        help='how far ahead to predict, in seconds; default: the configured one',
+    )
+    parser.add(
+        '--alpha',
+        type=float,
+        default=ALPHA,
+        metavar='A',
+        help=f'trajectory: weight exp(A t) of the time since the start; default {ALPHA:g}',
+    )
+    parser.add(
+        '--window',
+        type=positive,
+        default=WINDOW,
+        metavar='S',
+        help=f'trajectory: how long the model is left to itself; default {WINDOW:g}',
+    )
+    parser.add('--jobs', type=pixels, default=1, metavar='N', help='processes; default 1')
+    parser.add('--seed', type=whole, default=0, help='of the search; default 0')
+    parser.add(
+        '--resume', type=Path, metavar='FILE', help='study to go on with (NAME.study.jsonl)'
+    )
+
+
+def _identify(options: argparse.Namespace) -> None:
+    if options.objective == 'horizon' and options.optimiser == 'gradient':
+        options.usage('--optimiser gradient needs --objective trajectory')
+    config = load(options.config)
+    task = Task(
+        config,
+        options.objective,
+        tuple(options.parameters),
+        options.per_spring,
+        options.alpha,
+        options.window,
+        config.horizon if options.horizon is None else options.horizon,
+    )
+    settings = Settings(
+        options.optimiser, options.budget, options.jobs, options.seed, options.resume
+    )
+    with progress_bar('identify', 'evaluation')(0) as bar:
+        found = identify(
+            options.bag, options.output, task, options.held_out, settings, _shown(bar)
+        )
+    print(json.dumps(found.summary()) if options.json else _text(found, options.output))
+    if found.loose:
+        message = f'these recordings do not fix {", ".join(found.loose)}: do not trust the values'
+        warnings.warn(message, ClothPredictWarning, stacklevel=2)
+    if found.result.interrupted:
+        raise KeyboardInterrupt
+
+
+def _text(found: Identified, output: Path) -> str:
+    return f'{found.text()}\n{Outputs.at(output).configuration}: written'
+
+
+def _shown(bar: tqdm) -> Callable[[int, int, float], None]:
+    def show(done: int, budget: int, best: float) -> None:
+        bar.total = budget
+        bar.set_postfix_str(f'best {best:.4g} mm', refresh=False)
+        bar.update(done - bar.n)
+
+    return show
