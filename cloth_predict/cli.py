@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cloth_predict import __version__
 from cloth_predict import commands as run
-from cloth_predict.command_line import identify
+from cloth_predict.command_line import identify, stiffness, tune
 from cloth_predict.command_line.options import (
     Command,
     counted,
@@ -133,6 +133,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     calibrate.projector().json()
     identify.add(command)
+    tune.add(command)
+    stiffness.add(command)
     return parser
 
 

@@ -165,6 +165,14 @@ def whole(text: str) -> int:
     return value
 
 
+def count(text: str) -> int:
+    """Return a number of something."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f'{text} is less than 1')
+    return value
+
+
 def pixels(text: str) -> int:
     """Return a number of pixels."""
     value = int(text)
@@ -184,5 +192,16 @@ def counted(bar: tqdm) -> Callable[[int, int], None]:
     def show(done: int, total: int) -> None:
         bar.total = total
         bar.update(done)
+
+    return show
+
+
+def best_so_far(bar: tqdm, unit: str) -> Callable[[int, int, float], None]:
+    """Return what tells a progress bar how much was done, of how much, and the best cost."""
+
+    def show(done: int, total: int, best: float) -> None:
+        bar.total = total
+        bar.set_postfix_str(f'best {best:.4g} {unit}', refresh=False)
+        bar.update(done - bar.n)
 
     return show

@@ -28,7 +28,7 @@ WORSE = 1.01
 """Factor of the error up to which a common scale of the noise is taken: where limits and gates cut
 in, the scale does change predictions."""
 Progress = Callable[[int, int, float], None]
-"""Called after each trial with 1, how many there are to be at most, and the best cost."""
+"""Called after each trial with how many there were, how many there may be, and the best cost."""
 
 
 def _silent(done: int, total: int, best: float) -> None:
@@ -133,7 +133,7 @@ def search(
                     if cost < best:
                         best = cost
                         trace.append((done, cost))
-                    progress(1, trials, best)
+                    progress(done, trials, best)
             except KeyboardInterrupt:
                 interrupted = True
             finally:

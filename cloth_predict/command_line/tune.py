@@ -1,0 +1,96 @@
+"""The command `tune`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import warnings
+from pathlib import Path
+
+from cloth_predict.command_line.options import (
+    Add,
+    best_so_far,
+    count,
+    horizon,
+    progress_bar,
+    whole,
+)
+from cloth_predict.errors import ClothPredictWarning
+from cloth_predict.identification.tuned import Settings, tune
+from cloth_predict.identification.tuning import METHODS, TRIALS
+
+
+def add(command: Add) -> None:
+    """Add the command."""
+    parser = command('tune', _tune, 'find the noise of the filter from recordings')
+    parser.add('bag', type=Path, nargs='+', help='recording; of several the scores are pooled')
+    parser.config().json()
+    parser.add('-o', '--output', type=Path, required=True, help='parameter file to write')
+    parser.add(
+        '--method',
+        choices=METHODS,
+        default='likelihood',
+        help='make the measurements most likely (default) or errors ahead small, by Optuna; or '
+        'the latter by a sweep over decades, one parameter after the other',
+    )
+    parser.add(
+        '--held-out',
+        type=Path,
+        nargs='+',
+        default=[],
+        metavar='BAG',
+        help='recordings on which the result is judged, and nothing is found',
+    )
+    parser.add(
+        '--horizon',
+        type=horizon,
+        metavar='S',
+        help='how far ahead to predict, in seconds; default: the configured one',
+    )
+    parser.add(
+        '--trials',
+        type=count,
+        metavar='N',
+        help=f'most trials; default {TRIALS}, of the grid all',
+    )
+    parser.add(
+        '--storage',
+        metavar='URL',
+        help='of Optuna, or a file: keeps the study, to go on with or to share between machines',
+    )
+    parser.add('--study', default='tune', metavar='NAME', help='name of the study in the storage')
+    parser.add('--jobs', type=count, default=1, metavar='N', help='processes; default 1')
+    parser.add('--seed', type=whole, default=0, help='of the search; default 0')
+
+
+def _tune(options: argparse.Namespace) -> None:
+    if options.storage and options.method == 'grid':
+        options.usage('--storage needs --method likelihood or horizon, which are of Optuna')
+    settings = Settings(
+        options.method,
+        options.horizon,
+        options.trials,
+        options.jobs,
+        options.seed,
+        options.storage,
+        options.study,
+    )
+    unit = 'nats' if options.method == 'likelihood' else 'mm'
+    with progress_bar('tune', 'trial')(0) as bar:
+        found = tune(
+            options.bag,
+            options.config,
+            options.output,
+            options.held_out,
+            settings,
+            best_so_far(bar, unit),
+        )
+    print(json.dumps(found.summary()) if options.json else f'{found.text()}\n{options.output}')
+    for name, end in found.search.ends.items():
+        message = f'{name} is at the {end} end of what was searched: the best may lie beyond'
+        warnings.warn(message, ClothPredictWarning, stacklevel=2)
+    if found.overfits:
+        message = 'the result is no better than before on what was held out'
+        warnings.warn(message, ClothPredictWarning, stacklevel=2)
+    if found.search.interrupted:
+        raise KeyboardInterrupt
