@@ -38,6 +38,9 @@ INPUT_QOS = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 """A filter wants every frame: the queue outlasts the fraction of a second for which Fast DDS
 blocks a publisher while a new subscriber is being discovered."""
 
+LATEST_QOS = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+"""Of what the next message makes worthless, a node that is busy hears the last one only."""
+
 OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 ROS_PARAMETERS = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 SHUTDOWN_LIMIT = 5.0
@@ -69,9 +72,15 @@ class ConfiguredNode(Node):
         qos = copy.copy(SENSOR_QOS)  # an override writes into the profile
         return self.create_publisher(kind, topic, qos, qos_overriding_options=OVERRIDABLE)
 
-    def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
+    def subscribe(
+        self,
+        kind: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        profile: QoSProfile = INPUT_QOS,
+    ) -> None:
         """Subscribe to sensor data; the quality of service can be overridden by parameters."""
-        qos = copy.copy(INPUT_QOS)
+        qos = copy.copy(profile)
         self.create_subscription(kind, topic, callback, qos, qos_overriding_options=OVERRIDABLE)
 
 

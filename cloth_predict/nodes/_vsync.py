@@ -94,7 +94,9 @@ class FrameTimer:
     def _arm(self) -> None:
         """Sleep until the frame is due."""
         now, seconds = self.clock.now(), IDLE
-        if now is not None and self.start is not None and not self.clock.stands:
+        if now is not None and self.start is None:
+            seconds = 0.0
+        elif now is not None and not self.clock.stands:
             due = 1e-9 * (self._vsync - self._early - now) / max(self.clock.rate, 1e-3)
             seconds = min(due, IDLE)
         # a period of zero would starve the executor

@@ -17,7 +17,7 @@ from cloth_predict.formats.prediction import Prediction, encode_prediction
 from cloth_predict.nodes._clock import NodeClock
 from cloth_predict.nodes._diagnostics import Diagnostics
 from cloth_predict.nodes._mesh import mesh_marker
-from cloth_predict.nodes._ros import ConfiguredNode, cloud, nanoseconds, run
+from cloth_predict.nodes._ros import LATEST_QOS, ConfiguredNode, cloud, nanoseconds, run
 from cloth_predict.tracker import Step, Tracker
 from cloth_predict.tracking import live_check
 from cloth_predict.tracking.horizons import (
@@ -57,7 +57,7 @@ class EkfNode(ConfiguredNode):
         self._diagnostics = Diagnostics(self, self._values, self._findings)
         self.subscribe(PointCloud2, 'markers', self._on_markers)
         if self.config.horizon_mode == 'vsync':
-            self.subscribe(Header, NEXT_FRAME, self._on_request)
+            self.subscribe(Header, NEXT_FRAME, self._on_request, LATEST_QOS)
 
     def _on_request(self, message: Header) -> None:
         self._requests.ask(nanoseconds(message.stamp))

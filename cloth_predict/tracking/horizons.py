@@ -109,6 +109,8 @@ class FrameRequests:
         To predict from all of these as well would keep the queue from getting shorter, and the
         longer it is, the farther is predicted, and the longer that takes.
         """
+        if not EARLIEST <= age <= LATEST:  # of a clock that tells nothing
+            return False
         self._ages.append(age)
         limit = FRESH if self._behind else BACKLOG
         self._behind = age - min(self._ages) > limit
