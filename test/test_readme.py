@@ -1,5 +1,6 @@
 """What the README tells its readers to type, typed."""
 
+import json
 import os
 import re
 import shlex
@@ -92,11 +93,26 @@ def test_table_of_errors_is_what_evaluate_finds(folder):
     for line in (folder / 'out' / 'evaluate' / 'table_100ms.txt').read_text().splitlines()[2:]:
         name, *numbers = line.split()
         found[name] = [float(number) for number in numbers[:4]]
-    told = re.findall(r'^\| `(\w+)`: [^|]*\|([^\n]*)\|$', TEXT, re.MULTILINE)
-    assert [name for name, _ in told] == list(found)
-    for name, cells in told:
-        numbers = [float(cell) for cell in cells.split('|')]
+    assert list(table(4)) == list(found)
+    for name, numbers in table(4).items():
         assert numbers == pytest.approx(found[name], abs=0.06), name  # one digit is printed
+
+
+def table(columns):
+    """Numbers of each method in the table with so many columns of them."""
+    told = re.findall(r'^\| `(\w+)`: [^|]*\|([^\n]*)\|$', TEXT, re.MULTILINE)
+    rows = {name: cells.replace('%', '').split('|') for name, cells in told}
+    return {n: [float(cell) for cell in row] for n, row in rows.items() if len(row) == columns}
+
+
+def test_table_of_misregistration_is_what_project_finds(folder):
+    file = folder / 'out' / 'project' / 'projection.json'
+    found = json.loads(file.read_text())['methods']
+    assert list(table(3)) == list(found)
+    for name, (p50, p95, under) in table(3).items():
+        told = found[name]
+        assert [p50, p95] == pytest.approx([told['p50_mm'], told['p95_mm']], abs=0.06), name
+        assert under == pytest.approx(100 * told['under_jnd'], abs=0.6), name  # without digits
 
 
 def test_python_example(monkeypatch):
