@@ -77,6 +77,15 @@ class Projector:
     def send(self, stamp, points):
         self.publisher.publish(cloud(stamp, 'mocap', points))
 
+    def show(self, points, ahead=50 * MS):
+        """Send predictions for frames to come until one is shown; returns the last stamp sent."""
+        shown, start = self._graph.heard[VERTICES], 0
+        count = len(shown)
+        while len(shown) == count:  # one may come too late on a machine that is busy
+            start = self.asked(start)
+            self.send(start + ahead, points)
+        return start + ahead
+
     def asked(self, after=0):
         """Wait for a request for a frame later than this, and return its start."""
         self._graph.until(lambda: max(stamps_of(self._graph.heard[NEXT]), default=0) > after)
@@ -86,10 +95,11 @@ class Projector:
         self._graph.until(lambda: len(self._graph.heard[topic]) >= count)
         return self._graph.heard[topic]
 
-    def told(self, level, words):
+    def told(self, level, words, again=lambda: None):
         """Wait until the node's diagnostics say this, at this level or a higher one."""
 
         def found():
+            again()
             given = [m.status[0] for m in self._graph.heard['diagnostics']]
             return [s for s in given if s.name == NODE and s.level >= level and words in s.message]
 
@@ -137,9 +147,8 @@ def test_a_late_prediction_is_counted_and_not_shown(graph, surface):
     graph.until(lambda: values(graph, NODE).get('late_predictions') == '1')
     assert graph.heard[VERTICES] == []
     projector.told(WARN, '1 of 1 predictions were too late for their frame')
-    start = projector.asked()
-    projector.send(start + 100 * MS, surface)  # for a frame to come: it serves, moved back
-    shown = projector.heard(1)[0]
+    projector.show(surface)  # for a frame to come: it serves, moved back
+    shown = graph.heard[VERTICES][0]
     assert decode(shown, ('x',))['x'][0, 0] == pytest.approx(surface['x'][0, 0], abs=0.02)
 
 
@@ -155,29 +164,30 @@ def test_the_phase_is_that_of_the_vsync_topic_and_its_end_is_told(graph, surface
     start = projector.asked()
     # the median phase of vsyncs that are rounded to a nanosecond, over some 300 frames
     assert abs(vsync.after(start - 20 * MS - 1000) - (start - 20 * MS)) <= 1000
-    projector.send(projector.asked(start), surface)
-    assert projector.heard(1)
+    projector.show(surface)
 
 
 def test_frames_follow_a_clock_in_steps_and_go_back_with_it(graph, surface):
     projector = Projector(graph, horizon_mode='vsync', use_sim_time=True)
     clock = graph.probe.create_publisher(Clock, '/clock', RELIABLE)
     graph.until(lambda: clock.get_subscription_count() >= 1)
-    for begin in (1000.0, 5.0):
-        graph.heard[NEXT].clear()
-        graph.heard[VERTICES].clear()
-        origin, real = round(1e9 * begin), time.monotonic()
-        while len(graph.heard[VERTICES]) < 5:
+    for origin in (1000 * 10**9, 5 * 10**9):
+        real = time.monotonic()
+
+        def made(origin=origin):
+            """Frames by the clock as it is now set; others may still be on their way."""
+            return [s for s in stamps(graph.heard[VERTICES]) if origin < s < origin + 20e9]
+
+        while len(made()) < 5:
             now = origin + round(1e9 * (time.monotonic() - real)) // (10 * MS) * 10 * MS
             clock.publish(Clock(clock=to_time(now)))
             for _ in range(3):
                 graph.executor.spin_once(timeout_sec=0.003)
             for start in stamps_of(graph.heard[NEXT])[-1:]:
                 projector.send(start, surface)
-            assert time.monotonic() - real < 20
-        made = stamps(graph.heard[VERTICES])
-        assert min(made) > origin
-        assert max(made) < origin + 20e9
+            assert time.monotonic() - real < DEADLINE
+        assert stamps(graph.heard[VERTICES])[-1] == made()[-1]
+        assert np.diff(made()).min() > 0
 
 
 # --- the prediction that is asked for
@@ -238,7 +248,7 @@ def test_the_whole_graph_meets_its_frames_and_accounts_for_the_time(graph, towel
         graph.listen(topic, PointCloud2)
     graph.listen(NEXT, Header)
     graph.listen('diagnostics', DiagnosticArray)
-    parameters = {'horizon_mode': 'vsync', 'projector.max_age': 20.0}
+    parameters = {'horizon_mode': 'vsync', 'projector.max_age': 20.0, 'projector.fps': 10.0}
     coarse = flat(TOWEL.with_name('towel_coarse.yaml'), **parameters)
     ekf = graph.start(EkfNode, **coarse)
     graph.start(ProjectorNode, **coarse)
@@ -250,7 +260,7 @@ def test_the_whole_graph_meets_its_frames_and_accounts_for_the_time(graph, towel
         markers.publish(frame(time.time_ns() - 2 * MS, towel.positions[0, seen], ids=seen))
         graph.until(lambda taken=taken: ekf._tracker.counts.total() > taken)
         assert time.monotonic() - begin < DEADLINE
-    vsync = Vsync(20 * MS, 60.0)
+    vsync = Vsync(20 * MS, 10.0)
     for stamp in stamps(graph.heard[PREDICTION]):
         # each is for a frame; 1 ns: the one asked for and those after it are rounded twice
         assert vsync.after(stamp - 10) - stamp in (-1, 0, 1)
@@ -260,7 +270,7 @@ def test_the_whole_graph_meets_its_frames_and_accounts_for_the_time(graph, towel
     for name in (*stages, 'vsync_to_row', 'total'):
         assert float(found[f'{name}_ms']) <= float(found[f'{name}_p99_ms'])
     # the delay of 20 ms, and half a frame: the towel is in the middle of the picture
-    assert float(found['vsync_to_row_ms']) == pytest.approx(20 + 8.3, abs=0.5)
+    assert float(found['vsync_to_row_ms']) == pytest.approx(20 + 50, abs=3)
 
 
 # --- guards
@@ -281,14 +291,15 @@ def test_what_is_not_safe_is_not_shown(graph, surface, kind, fallback, mode):
         graph, horizon_mode=mode, **{'projector.fallback': fallback, 'projector.max_age': 9.0}
     )
     bad, words = unsafe(surface)[kind]
-    stamp = projector.asked() if mode == 'vsync' else 10**9
-    projector.send(stamp, surface)
-    projector.heard(1)
-    later = projector.asked(stamp) + 50 * MS if mode == 'vsync' else stamp + 10 * MS
-    projector.send(later, bad)
-    projector.told(ERROR, words)
+    if mode == 'vsync':
+        projector.show(surface)
+        projector.told(ERROR, words, lambda: projector.send(projector.asked() + 100 * MS, bad))
+    else:
+        projector.send(10**9, surface)
+        projector.send(2 * 10**9, bad)
+        projector.told(ERROR, words)
+        assert stamps(graph.heard[VERTICES]) == [10**9, 2 * 10**9]
     last = graph.heard[VERTICES][-1]
-    assert nanoseconds(last.header.stamp) > stamp
     points = decode(last, ('u', 'v'))
     if fallback == 'blank':
         assert (last.width, len(last.data)) == (0, 0)
