@@ -91,7 +91,9 @@ class Horizon:
         try:
             with np.errstate(all='ignore'):
                 return self._followed(Tracked(config))
-        except (FloatingPointError, np.linalg.LinAlgError):
+        except ClothPredictError:
+            raise  # of the recording, and no matter of the parameters
+        except (FloatingPointError, np.linalg.LinAlgError, ValueError):  # SciPy's for NaN
             return None
 
     def _followed(self, predictor: Predictor) -> FloatArray:

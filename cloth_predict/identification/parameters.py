@@ -102,7 +102,7 @@ class Space:
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest vector, each of shape (n,)."""
-        reach = np.where(self._between, logit(1.0 - WITHIN), np.log(self.farthest))
+        reach = np.where(self._between, -logit(WITHIN), np.log(self.farthest))
         middle = np.where(self._between, 0.0, self.start)
         most = [np.inf if p.between else np.log(p.high) for p in self.parameters]
         return middle - reach, np.minimum(middle + reach, most)
@@ -110,9 +110,9 @@ class Space:
     def searched(self, values: Sequence[float] | FloatArray) -> FloatArray:
         """Vector of values of the parameters, shape (n,)."""
         share = (np.asarray(values) - self._low) / np.where(self._between, self._width, 1.0)
-        inside = np.clip(share, WITHIN, 1.0 - WITHIN)
+        inside = np.clip(logit(np.clip(share, 0.0, 1.0)), logit(WITHIN), -logit(WITHIN))
         positive = np.where(self._between, 1.0, values)
-        return np.where(self._between, logit(inside), np.log(positive))
+        return np.where(self._between, inside, np.log(positive))
 
     def values(self, vector: FloatArray) -> FloatArray:
         """Values of the parameters, shape (n,), of a vector."""
@@ -166,15 +166,11 @@ def spelt_out(config: Config, names: Iterable[str] = LISTS) -> Config:
             'model.topology: the springs of delaunay are not known before the start, so that they '
             'cannot be searched one by one'
         )
-    if not wanted:
-        return config
-    mesh = build_mass_spring(config, np.zeros((model.count, 3)))  # wherever the nodes are
-    each = {
-        'springs': mesh.springs.stiffness,
-        'dampers': mesh.springs.damping,
-        'masses': mesh.mass,
-        'loads': np.ones(mesh.nodes),
-    }
+    nodes = model.mesh_nodes
+    each = {'masses': np.full(nodes, model.mass / nodes), 'loads': np.ones(nodes)}
+    if {'springs', 'dampers'} & set(wanted):
+        mesh = build_mass_spring(config, np.zeros((model.count, 3)))  # wherever the nodes are
+        each |= {'springs': mesh.springs.stiffness, 'dampers': mesh.springs.damping}
     for name in wanted:
         values: Any = tuple(each[name].tolist())
         model = replace(model, **{name: values})
@@ -196,9 +192,7 @@ def _parameters(config: Config, name: str) -> list[Parameter]:
     high = np.inf if limits['high'] is None else limits['high']
     if low is None or (low != 0 and high > 1.0):
         raise ConfigError(f'{name}: has no lower limit, so that it cannot be searched')
-    found = [
-        Parameter(group, field, i, v, low, high) for i, v in entries if v > 0 or high <= 1
-    ]
+    found = [Parameter(group, field, i, v, low, high) for i, v in entries if v > 0 or high <= 1]
     if not found:
         raise ConfigError(f'{name}: is 0; a search needs a first value above it')
     return found

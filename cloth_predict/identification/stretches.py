@@ -99,6 +99,8 @@ def _scenario(
     parts = [split(float(dt), config.filter.max_step)[0] for dt in np.diff(at)]
     times = np.interp(np.arange(sum(parts) + 1), np.concatenate([[0], np.cumsum(parts)]), at)
     driven = _filled(at, markers.positions[k : last + 1, layout.driven], times)
+    if config.anchors.motion == 'fixed':
+        driven[:] = driven.mean(axis=0)  # what moves them is noise
     target = np.full((len(times), len(layout.free), 3), np.nan)
     target[np.concatenate([[0], np.cumsum(parts)])] = markers.positions[k : last + 1, layout.free]
     target[0] = np.nan  # the start is given

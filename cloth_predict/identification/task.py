@@ -25,9 +25,9 @@ BUDGETS = {'annealing': 5000, 'cma': 500, 'gradient': 1000}
 """Evaluations of each optimiser, where none are given."""
 BETWEEN = 0.05
 """Seconds from one prediction to the next in the cost of the horizon objective."""
-WINDOW = 1.0
-"""Seconds that the model is left to itself in the trajectory objective: a longer stretch tells
-more of slow parameters, and small errors of a start grow."""
+WINDOW = 4.0
+"""Seconds that the model is left to itself in the trajectory objective. A start in fast motion is
+known worse than one at rest, and its error takes a while to fade."""
 ALPHA = 0.001
 """Weight of later times [1/s] (Gomes 2016, below eq. 6.21)."""
 

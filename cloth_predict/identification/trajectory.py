@@ -17,9 +17,9 @@ from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.surface.topology import Topology
 from cloth_predict.types import BoolArray, FloatArray, IntArray, Solver, Tangent
 
-GRADIENT_PRICE = 4
-"""Cost and gradient of an evaluation take 2.6 to 3.6 times the cost alone, by
-benchmarks/bench_identify.py; rounded up."""
+GRADIENT_PRICE = 3
+"""A cost with its gradient takes 2.2 to 2.7 times as long as the cost alone, whatever the number
+of parameters (benchmarks/bench_identify.py); rounded up."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Trajectory:
         return np.repeat(np.arange(self.parts), sizes)
 
     def part(self, k: int, vector: FloatArray) -> float:
-        """Cost of a scenario; NaN where the model does not get to its end."""
+        """Cost of a scenario; not finite where the model does not get to its end."""
         try:
             with np.errstate(all='ignore'):
                 return float(np.square(self.residuals(k, vector)).sum())
