@@ -357,6 +357,7 @@ def test_tuned_noise_is_written_with_where_it_comes_from(tmp_path, parameters, m
     if method == 'likelihood':  # elsewhere the ratio was 3.3 times the true one: hardly worse
         other = found.scores['held out']
         assert other['after'].cost < other['before'].cost
+        assert found.cautions == []
     noise = found.config.filter
     if method != 'grid':  # by likelihood, or by the common scale at which the NIS is 1
         # 630 coordinates tell R to 5 %; and so coarse is a search of 30 trials

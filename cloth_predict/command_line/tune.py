@@ -29,9 +29,9 @@ def add(command: Add) -> None:
     parser.add(
         '--method',
         choices=METHODS,
-        default='likelihood',
-        help='make the measurements most likely (default) or errors ahead small, by Optuna; or '
-        'the latter by a sweep over decades, one parameter after the other',
+        default='horizon',
+        help='make errors ahead small (default) or the measurements most likely, by Optuna; or '
+        'the former by a sweep over decades, one parameter after the other (grid)',
     )
     parser.add(
         '--held-out',
@@ -86,11 +86,7 @@ def _tune(options: argparse.Namespace) -> None:
             best_so_far(bar, unit),
         )
     print(json.dumps(found.summary()) if options.json else f'{found.text()}\n{options.output}')
-    for name, end in found.search.ends.items():
-        message = f'{name} is at the {end} end of what was searched: the best may lie beyond'
-        warnings.warn(message, ClothPredictWarning, stacklevel=2)
-    if found.overfits:
-        message = 'the result is no better than before on what was held out'
-        warnings.warn(message, ClothPredictWarning, stacklevel=2)
+    for caution in found.cautions:
+        warnings.warn(caution, ClothPredictWarning, stacklevel=2)
     if found.search.interrupted:
         raise KeyboardInterrupt

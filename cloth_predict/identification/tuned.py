@@ -80,10 +80,22 @@ class Tuned:
         return {name: (before[name], after[name]) for name in names}
 
     @property
-    def overfits(self) -> bool:
-        """Whether what was held out is served no better than before."""
-        of = self.scores.get(HELD_OUT)
-        return of is not None and not of['after'].cost < of['before'].cost
+    def cautions(self) -> list[str]:
+        """Return what speaks against the result, each in one line."""
+        found = [
+            f'{name} is at the {end} end of what was searched: the best may lie beyond'
+            for name, end in self.search.ends.items()
+        ]
+        for where, of in self.scores.items():
+            before, after = of['before'], of['after']
+            if where == HELD_OUT and not after.cost < before.cost:
+                found.append('the result is no better than before on what was held out')
+            if self.task.unit != 'mm' and not after.error_mm <= before.error_mm:
+                found.append(
+                    f'{where}: the error ahead has grown from {before.error_mm:.3g} to '
+                    f'{after.error_mm:.3g} mm: what the model does not know is no white noise'
+                )
+        return found
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers as `tune --json` prints them."""
@@ -104,7 +116,7 @@ class Tuned:
                 name: {'before': before, 'after': after}
                 for name, (before, after) in self.changes.items()
             },
-            'at_end_of_range': found.ends,
+            'cautions': self.cautions,
             'scores': {
                 where: {when: _plain(score) for when, score in of.items()}
                 for where, of in self.scores.items()
@@ -113,7 +125,7 @@ class Tuned:
 
     def text(self) -> str:
         """Return the result as `tune` prints it."""
-        lines = [f'{name}: {note}' for name, note in self._notes().items()]
+        lines = [f'{name}: {note}' for name, note in self._notes().items() if name != 'caution']
         width = max(map(len, self.changes), default=0)
         lines += [
             f'  {name:{width}}  {before:.4g} -> {after:.4g}'
@@ -141,11 +153,8 @@ class Tuned:
             )
         if self.held_out:
             notes['held-out recordings'] = ', '.join(self.held_out)
-        if self.overfits:
-            notes['caution'] = 'no better than before on what was held out'
-        if found.ends:
-            ends = ', '.join(f'{name} ({end})' for name, end in found.ends.items())
-            notes['at the end of the range that was searched'] = ends
+        if self.cautions:
+            notes['caution'] = '; '.join(self.cautions)
         return notes
 
     @property

@@ -161,8 +161,8 @@ class Carried:
         )
         return (
             f'the stiffest mode, {self.omega:.3g} rad/s, turns by {angle:.3g} rad in a step of '
-            f'{self.dt:g} s: an implicit step leaves {self.kept:.1e} of its swing, and an explicit '
-            f'one (RK4) is stable up to {self.explicit_limit:.1e} s{lost}'
+            f'{self.dt:g} s: an implicit step leaves {self.kept:.1e} of its swing, and an '
+            f'explicit one (RK4) is stable up to {self.explicit_limit:.1e} s{lost}'
         )
 
 
