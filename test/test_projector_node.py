@@ -248,7 +248,10 @@ def test_the_whole_graph_meets_its_frames_and_accounts_for_the_time(graph, towel
         graph.listen(topic, PointCloud2)
     graph.listen(NEXT, Header)
     graph.listen('diagnostics', DiagnosticArray)
-    parameters = {'horizon_mode': 'vsync', 'projector.max_age': 20.0, 'projector.fps': 10.0}
+    parameters = {
+        'horizon_mode': 'vsync', 'projector.max_age': 20.0, 'projector.fps': 10.0,
+        'projector.lead': 0.05,  # one thread has to come round to it in time
+    }  # fmt: skip
     coarse = flat(TOWEL.with_name('towel_coarse.yaml'), **parameters)
     ekf = graph.start(EkfNode, **coarse)
     graph.start(ProjectorNode, **coarse)

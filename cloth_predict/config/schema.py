@@ -473,8 +473,8 @@ class ProjectorConfig:
     )
     vsync: str = param(
         'period',
-        'with `horizon_mode: vsync`: frames at `vsync_phase` and then every 1 / `fps`, or as '
-        'the topic `/vsync` (builtin_interfaces/Time) tells their starts',
+        'with `horizon_mode: vsync`: vsyncs at `vsync_phase` and then every 1 / `fps`, or at the '
+        'phase of those that the topic `/vsync` (builtin_interfaces/Time) tells',
         choices=('period', 'topic'),
     )
     vsync_phase: float = param(0.0, 'time of one vsync, by the clock of the nodes', 's')
@@ -510,7 +510,9 @@ class ProjectorConfig:
         above=0,
     )
     warp_map: bool = param(
-        False, 'publish `projector/warp_map`, the texture coordinate of every pixel'
+        False,
+        'publish `projector/warp_map`, the texture coordinate of every pixel; takes a core of its '
+        'own',
     )
 
 
