@@ -48,7 +48,7 @@ def rows_of_frame(found: Compensation, frame: int, path: Path) -> None:
     across = -found.pinhole.rotation[0 if found.scan.columns else 1]
     across = across - (across @ along) * along
     across /= np.linalg.norm(across)
-    figure = Figure(figsize=(11, 5), layout='constrained')
+    figure = Figure(figsize=(14, 5), layout='constrained')
     left, right = figure.subplots(1, 2)
     model = found.config.model
     for name, place in [('true', actual), *zip(METHODS, shown, strict=True)]:
@@ -73,7 +73,7 @@ def rows_of_frame(found: Compensation, frame: int, path: Path) -> None:
         title='Error along the motion',
     )
     right.grid(alpha=0.3)
-    figure.legend(loc='outside lower center', ncols=3, fontsize='small')
+    right.legend(*left.get_legend_handles_labels(), loc='upper left', bbox_to_anchor=(1, 1))
     figure.savefig(path, dpi=120)
 
 
