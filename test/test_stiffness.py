@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
+from cloth_predict.cli import main
 from cloth_predict.config import load
-from cloth_predict.errors import ClothPredictError
+from cloth_predict.errors import ClothPredictError, ClothPredictWarning
 from cloth_predict.evaluation.cases import case_of, frames_of
 from cloth_predict.evaluation.conditioning import condition_number, condition_numbers
 from cloth_predict.formats.recording import read
@@ -16,6 +17,7 @@ from cloth_predict.integrators import ImplicitEuler, RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs, grid_pairs
 from cloth_predict.models.stiffness import Carried, analytic_stiffness, carried, lloyd_2007
+from cloth_predict.surface.assembly import build_mass_spring, rest_shape
 from cloth_predict.tracker import Tracker
 
 ROOT = Path(__file__).parents[1]
@@ -202,3 +204,18 @@ def test_a_filter_without_a_covariance_is_named():
     case = case_of(read(ROOT / 'bags' / 'towel_fan'), config, 'towel')
     with pytest.raises(ClothPredictError, match='fixed_gain keeps no full P'):
         condition_numbers(case, config)
+
+
+def test_the_command_writes_springs_that_a_surface_has(tmp_path, capsys):
+    output = tmp_path / 'springs.yaml'
+    config = ROOT / 'config' / 'towel.yaml'  # a mesh of 9 x 7 nodes
+    material = ['--young', '7e9', '--thickness', '0.002']
+    with pytest.warns(ClothPredictWarning, match=r'the stiffest mode, 1\.14e'):
+        assert main(['stiffness', '-c', str(config), *material, '-o', str(output)]) == 0
+    written = load(output)
+    expected = analytic_stiffness(7e9, 0.002, 0.51, 0.8, 9, 7).springs
+    springs = build_mass_spring(written, rest_shape(written.model)).springs
+    assert springs.stiffness == pytest.approx(expected, rel=1e-5)  # six digits are written
+    assert 'caution: the stiffest mode' in output.read_text()
+    assert main(['stiffness', '-c', str(ROOT / 'config' / 'rope.yaml'), *material]) == 1
+    assert '1 x 13 nodes are no sheet' in capsys.readouterr().err

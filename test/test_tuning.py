@@ -1,5 +1,6 @@
 """Tuning of the noise: likelihoods, errors, searches, studies, and the command as one call."""
 
+import json
 from dataclasses import replace
 from math import isfinite, nan, sqrt
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.stats import multivariate_normal
 
+from cloth_predict.cli import main
 from cloth_predict.config import build, load
 from cloth_predict.errors import ClothPredictError, FormatError
 from cloth_predict.evaluation.cases import case_of, frames_of, labelled_case
@@ -17,7 +19,11 @@ from cloth_predict.formats.bag import Recording, write_recording
 from cloth_predict.formats.recording import read
 from cloth_predict.identification.likelihood import fitness, log_likelihood, measurements
 from cloth_predict.identification.noise import MEASUREMENT, PROCESS, Noise, Range, scaled
-from cloth_predict.identification.objectives import horizon_error, prediction_errors
+from cloth_predict.identification.objectives import (
+    horizon_error,
+    normalised_error,
+    prediction_errors,
+)
 from cloth_predict.identification.optuna_study import OptunaProposals
 from cloth_predict.identification.proposals import Sweep
 from cloth_predict.identification.provenance import content_hash
@@ -122,7 +128,6 @@ def test_nothing_is_as_likely_as_the_true_noise():
         assert fitness(markers, free(**changed)).cost > best.cost
     for changed in ({'measurement_noise': R * 1.1}, {'measurement_noise': R / 1.1}):
         assert fitness(markers, free(**changed)).cost > best.cost
-    assert best.nis_per_coordinate == pytest.approx(1, abs=0.07)  # 3 sqrt(2 / 3600)
 
 
 def test_no_likelihood_of_too_short_a_recording():
@@ -160,9 +165,23 @@ def test_what_is_refused_counts_as_the_marker_last_seen(towel):
     held = evaluate(case.markers, config, 0.1, case.reference.markers).scores['hold']
     found = prediction_errors(case, mute, 0.1)
     assert found.predicted == 0
+    assert found.normalised == 0
     rms = 1e3 * sqrt(found.squares / found.count)
     assert rms == pytest.approx(held.rmse_free_mm, rel=1e-12)  # rounding
     assert np.isnan(horizon_error([case], mute, 0.1))
+
+
+def test_the_true_noise_predicts_how_large_errors_are():
+    config = free()
+    case = labelled_case(drifting(500), config, 'x')
+    # 3600 errors, alike over 0.1 s: some 360 free ones of 3 coordinates, 3 sigma of sqrt(2 / 360)
+    assert normalised_error([case], config, 0.1) == pytest.approx(1, abs=0.22)
+    wide = scaled(config, 4.0)
+    # a quarter of that, as the noise of the reference is scaled as well
+    other = labelled_case(drifting(500), wide, 'x')
+    assert normalised_error([other], wide, 0.1) == pytest.approx(
+        normalised_error([case], config, 0.1) / 4, rel=1e-5
+    )  # values have six digits
 
 
 def test_nothing_to_judge_is_said(towel):
@@ -358,10 +377,13 @@ def test_tuned_noise_is_written_with_where_it_comes_from(tmp_path, parameters, m
         other = found.scores['held out']
         assert other['after'].cost < other['before'].cost
         assert found.cautions == []
-    noise = found.config.filter
-    if method != 'grid':  # by likelihood, or by the common scale at which the NIS is 1
         # 630 coordinates tell R to 5 %; and so coarse is a search of 30 trials
-        assert noise.measurement_noise == pytest.approx(R, rel=0.3)
+        assert found.config.filter.measurement_noise == pytest.approx(R, rel=0.3)
+    if method == 'horizon':
+        case = case_of(read(tmp_path / 'take'), found.config, 'take')
+        assert normalised_error([case], found.config, 0.05) == pytest.approx(
+            1, rel=1e-4
+        )  # values have six digits
     head = output.read_text()
     for said in (method, 'take (content ', 'other (content ', 'seed 5', 'score, held out'):
         assert said in head
@@ -369,3 +391,20 @@ def test_tuned_noise_is_written_with_where_it_comes_from(tmp_path, parameters, m
     assert summary['trials'] == trials
     assert all(isfinite(cost) for _, cost in summary['trace'])
     assert summary['parameters'][PROCESS]['before'] == 30 * Q
+
+
+def test_the_command(tmp_path, parameters, capsys):
+    write_recording(tmp_path / 'take', Recording(drifting(120)))
+    write_recording(tmp_path / 'short', Recording(drifting(50)))
+    output = tmp_path / 'tuned.yaml'
+    usual = ['-c', str(parameters(**FREE)), '-o', str(output), '--method', 'likelihood']
+    assert main(['tune', str(tmp_path / 'short'), *usual]) == 1
+    assert 'short: no innovation after the first 1 s' in capsys.readouterr().err
+    assert not output.exists()
+    assert main(['tune', str(tmp_path / 'take'), *usual, '--trials', '2', '--json']) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found['trials'] == 2
+    assert found['parameters'][PROCESS]['after'] == load(output).filter.process_noise
+    with pytest.raises(SystemExit):
+        main(['tune', 'x', *usual[:-1], 'grid', '--storage', 'x'])
+    assert '--storage needs --method likelihood or horizon' in capsys.readouterr().err

@@ -52,31 +52,18 @@ def believing(config: Config) -> Config:
 
 @dataclass(frozen=True)
 class Fitness:
-    """Sums over a recording: of log likelihoods, of NIS, and of the coordinates measured."""
+    """Sum of log likelihoods over a recording, and the number of coordinates measured."""
 
     log_likelihood: float
-    nis: float
     count: int
 
     def __add__(self, other: Fitness) -> Fitness:
-        return Fitness(
-            self.log_likelihood + other.log_likelihood,
-            self.nis + other.nis,
-            self.count + other.count,
-        )
+        return Fitness(self.log_likelihood + other.log_likelihood, self.count + other.count)
 
     @property
     def cost(self) -> float:
         """Minus the log likelihood of a coordinate, in nats, of lengths in metres."""
         return -self.log_likelihood / self.count if self.count else nan
-
-    @property
-    def nis_per_coordinate(self) -> float:
-        """Normalised innovation squared of a coordinate: 1 of noise that is as it is said to be.
-
-        Scaling every covariance of the filter by it makes the measurements most likely.
-        """
-        return self.nis / self.count if self.count else nan
 
 
 def fitness(markers: MarkerSequence, config: Config, source: str = '') -> Fitness:
@@ -85,14 +72,14 @@ def fitness(markers: MarkerSequence, config: Config, source: str = '') -> Fitnes
     NaN where the filter fails on the way: no frame may be missing from the sum. Raises
     FormatError where there is nothing to sum up.
     """
-    tracker, total = Tracker(believing(config)), Fitness(0.0, 0.0, 0)
+    tracker, total = Tracker(believing(config)), Fitness(0.0, 0)
     begin = int(markers.stamps[0]) + WARM_UP * NANOSECONDS if len(markers) else 0.0
     for k, stamp in enumerate(markers.stamps.tolist()):
         learnt = tracker.step(stamp, markers.positions[k], markers.visible[k]).innovation
         if tracker.counts['diverged'] or tracker.counts['lost']:
-            return Fitness(nan, nan, 0)
+            return Fitness(nan, 0)
         if learnt is not None and learnt.residual.size and stamp >= begin:
-            total += Fitness(log_likelihood(learnt), learnt.nis, len(learnt.residual))
+            total += Fitness(log_likelihood(learnt), len(learnt.residual))
     if not total.count:
         raise FormatError(
             f'{source}: no innovation after the first {WARM_UP:g} s: the recording is too short, '

@@ -23,12 +23,14 @@ from cloth_predict.surface.layout import free_markers
 class Errors:
     """Sum of squares [m^2] of the errors of the free markers, and their number.
 
-    predicted: how many of them are errors of predictions, and not of what was seen last.
+    predicted: how many of them are errors of predictions, and not of what was seen last;
+    normalised: sum over these of their squares by the predicted variance of a distance.
     """
 
     squares: float
     count: int
     predicted: int
+    normalised: float
 
 
 def prediction_errors(case: Case, config: Config, horizon: float) -> Errors:
@@ -49,8 +51,10 @@ def prediction_errors(case: Case, config: Config, horizon: float) -> Errors:
     (run,) = follow(Tracked(config), case, [horizon])
     known = np.asarray(np.isfinite(run.position).all(axis=-1))
     position = np.where(known[..., None], run.position, held.position)
-    squares = np.square(distances(position, actual)[asked])
-    return Errors(float(squares.sum()), int(asked.sum()), int(known[asked].sum()))
+    squares, known = np.square(distances(position, actual)), asked & known
+    variance = 3.0 * (np.square(run.sigma) + case.reference.noise**2)
+    normalised = float((squares[known] / variance[known]).sum())
+    return Errors(float(squares[asked].sum()), int(asked.sum()), int(known.sum()), normalised)
 
 
 def horizon_error(cases: Sequence[Case], config: Config, horizon: float) -> float:
@@ -63,6 +67,16 @@ def horizon_error(cases: Sequence[Case], config: Config, horizon: float) -> floa
     if sum(one.predicted for one in found) < FEWEST * count:
         return nan
     return 1e3 * sqrt(sum(one.squares for one in found) / count)
+
+
+def normalised_error(cases: Sequence[Case], config: Config, horizon: float) -> float:
+    """Mean over all predictions of e' e / 3 sigma^2: 1 where errors are as large as predicted.
+
+    Scaling every covariance of the filter by it makes the errors most likely, and changes none.
+    """
+    found = [prediction_errors(case, config, horizon) for case in cases]
+    predicted = sum(one.predicted for one in found)
+    return sum(one.normalised for one in found) / predicted if predicted else nan
 
 
 def total_fitness(cases: Sequence[Case], config: Config) -> Fitness:

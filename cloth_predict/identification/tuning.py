@@ -13,7 +13,11 @@ from cloth_predict.errors import ClothPredictError
 from cloth_predict.evaluation.cases import Case
 from cloth_predict.identification.likelihood import measurements
 from cloth_predict.identification.noise import MEASUREMENT, Noise, scaled
-from cloth_predict.identification.objectives import horizon_error, total_fitness
+from cloth_predict.identification.objectives import (
+    horizon_error,
+    normalised_error,
+    total_fitness,
+)
 from cloth_predict.identification.optuna_study import OptunaProposals
 from cloth_predict.identification.proposals import Proposals, Sweep, Values
 from cloth_predict.identification.provenance import content_hash
@@ -163,17 +167,13 @@ def proposals_for(
 def with_scale(task: Task, values: Values, cost: float) -> Config:
     """Return the tuned configuration; where only ratios were searched, with their common scale.
 
-    It is that at which the mean NIS is 1 and the measurements are most likely; it is left alone
-    where predictions get worse by it, as where limits and gates cut in.
+    It is that at which errors ahead are as large as predicted. It is left alone where predictions
+    get worse by it, as where limits and gates cut in.
     """
     config = task.noise.apply(values)
     if task.method != 'horizon':
         return config
-    measured = prepared(config, task.cases, 'likelihood', task.horizon)
-    try:
-        variance = total_fitness(measured.cases, config).nis_per_coordinate
-    except FloatingPointError:
-        return config
+    variance = normalised_error(task.cases, config, task.horizon)
     if not 0 < variance < inf:
         return config
     found = scaled(config, variance)
