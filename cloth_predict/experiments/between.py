@@ -86,7 +86,7 @@ def draw(
         }
         for name, drawn in found.items():
             squares[name].append(np.square(drawn - actual).sum(axis=2).mean(axis=1))
-        shown = found | {'actual': actual}
+        shown = {'actual': actual} | found
     error = {name: np.sqrt(np.mean(values, axis=0)) for name, values in squares.items()}
     return Drawn(dt, error, shown)
 

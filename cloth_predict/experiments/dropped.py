@@ -30,9 +30,13 @@ ANGLE = np.deg2rad(20.0)
 """From hanging, at which the towel is let go; the thesis says `a slight angle`."""
 GROWTH = 1e-3
 """alpha of the weight exp(alpha i dT) (Gomes 2016, eq. 6.21) [1/s]."""
+FULL, QUICK = (5.0, 3000), (2.0, 200)
+"""Length of the drop [s], and evaluations."""
 NAMES = ('model.springs', 'model.dampers', 'model.masses')
 INTERVAL, STEP = 0.01, 1e-3
 FORCE = 'ornstein_uhlenbeck'
+BY = {'arbitrary': 'k 300, d 0.08', 'recipe': 'by annealing', 'ours': 'by the gradient'}
+"""Parameters, as the picture names them."""
 OPTIMISERS: dict[str, Optimiser] = {'recipe': anneal, 'ours': descend}
 
 
@@ -93,8 +97,8 @@ def identify(
 def run(scope: Scope) -> Row:
     """Identify by annealing and along the gradient, and predict the towel in the fan."""
     case, config = fan()
-    frames, budget = frames_of(case), 200 if scope.quick else 6000
-    markers = dropped(2.0 if scope.quick else 5.0)
+    duration, budget = QUICK if scope.quick else FULL
+    frames, markers = frames_of(case), dropped(duration)
     scope.progress(0.2)
 
     def search(optimiser: Optimiser) -> tuple[Config, Result]:
@@ -117,7 +121,7 @@ def run(scope: Scope) -> Row:
             numbers[f'{label}, {who} parameters: RMS distance [m]'] = late.rms
     figure, (left, right) = panels(2)
     for axes, tracks, title in ((left, step, 'I + Ts J, 0.01 s'), (right, ours, 'ours')):
-        lines = {f'{who} parameters': (t.times, t.mse) for who, t in tracks.items()}
+        lines = {BY[who]: (t.times, t.mse) for who, t in tracks.items()}
         over_time(axes, lines, 'MSE [m²]', {'thesis, peak': 7e-4 / 4})
         axes.set_title(title)
     right.legend(loc='upper left', bbox_to_anchor=(1, 1))

@@ -112,7 +112,7 @@ class Track:
 
     def around(self, time: float, width: float = 1.0) -> float:
         """Mean of the mean squared errors [m^2] over `width` [s] up to a time [s]."""
-        near = self.mse[(self.times > time - width - 1e-9) & (self.times < time + 1e-9)]
+        near = self.mse[(self.times > time - width + 1e-9) & (self.times < time + 1e-9)]
         return float(np.mean(near[np.isfinite(near)])) if np.isfinite(near).any() else nan
 
 

@@ -123,10 +123,11 @@ def of_both(scope: Scope) -> Row:
         f'{_named(chosen["o"])} is least, with {short(ours[chosen["o"]].peak, "m²")}; with a '
         f'force on each node as a state {short(known.peak, "m²")}',
         'As P starts at 0 only the ratio Q / R acts on the gain: there is no best pair, but a '
-        'best ratio, the larger the better, as the markers have no noise. Every 0.01 s with I + Ts '
-        f'J in place of J, R 10 I raises the peak of Q 100 I by {_raised(step, 10.0):+.0%}, R 0.01 '
-        f'I by {_raised(step, 0.01):+.0%}: as in the thesis, so that this may be what it ran. What '
-        'helps is to have the force as a state.'.replace('%', ' %'),
+        'best ratio, the larger the better, as the markers have no noise. Every 0.01 s with '
+        'I + Ts J in place of J, R 10 I raises the peak of Q 100 I by '
+        f'{_raised(step, 10.0):+.0%}, R 0.01 I by {_raised(step, 0.01):+.0%}: as in the thesis, '
+        'so that this may be what it ran. What helps is to have the force as a '
+        'state.'.replace('%', ' %'),
         numbers,
         pictures,
     )

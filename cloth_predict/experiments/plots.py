@@ -93,5 +93,5 @@ def sheets(
         axes.view_init(elev=12, azim=-60)
         axes.tick_params(labelsize=6)
         axes.set_title(f't = {time:.1f} s', fontsize=10)
-    figure.legend(*axes.get_legend_handles_labels(), loc='outside lower center', ncols=4)
+    figure.legend(*axes.get_legend_handles_labels(), loc='lower center', ncols=4)
     return figure
