@@ -25,6 +25,10 @@ COLOURS = {
 """Of the filters that several pictures show."""
 
 
+MANY = 200
+"""Edges from which on thick lines would cover the picture."""
+
+
 def panels(count: int, width: float = 5.0, height: float = 3.6) -> tuple[Figure, list[Axes]]:
     """Return a figure with axes beside each other."""
     figure = Figure(figsize=(width * count, height), layout='constrained')
@@ -79,7 +83,7 @@ def sheets(
     low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
     for k, time in enumerate(times):
         axes = figure.add_subplot(1, len(times), k + 1, projection='3d')
-        widths = np.linspace(3.0, 1.0, len(shown))
+        widths = np.linspace(3.0 if len(edges) < MANY else 1.0, 1.0, len(shown))
         for (name, nodes), colour, width in zip(shown.items(), colours, widths, strict=True):
             gap = np.full((len(edges), 1, 3), np.nan)  # one line with gaps draws faster than many
             line = np.concatenate([nodes[k][edges], gap], axis=1).reshape(-1, 3)
