@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cloth_predict import __version__
 from cloth_predict import commands as run
-from cloth_predict.command_line import identify, stiffness, tune
+from cloth_predict.command_line import compress, identify, reproduce, stiffness, tune
 from cloth_predict.command_line.options import (
     Command,
     counted,
@@ -135,6 +135,8 @@ def _parser() -> argparse.ArgumentParser:
     identify.add(command)
     tune.add(command)
     stiffness.add(command)
+    compress.add(command)
+    reproduce.add(command)
     return parser
 
 

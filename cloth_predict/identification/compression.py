@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.identification.annealing import anneal
-from cloth_predict.identification.cma_es import evolve
 from cloth_predict.identification.compression_task import Task
-from cloth_predict.identification.gradient import descend
 from cloth_predict.identification.parallel import Called, Parallel
 from cloth_predict.identification.parameters import Space
-from cloth_predict.identification.result import Bounds, Callback, Optimiser, Result
+from cloth_predict.identification.result import Bounds, Callback, Result
+from cloth_predict.identification.task import OPTIMISERS
 from cloth_predict.identification.workers import workers
 from cloth_predict.types import FloatArray
 
-OPTIMISERS: Mapping[str, Optimiser] = {'gradient': descend, 'cma': evolve, 'annealing': anneal}
-"""The choices of `--optimiser`."""
+BUDGET = 2000
+"""Evaluations of the model, where none are given."""
 HEAVIEST = 10.0
 """Factor to both sides of 1 beyond which the factor of gravity G_i is not searched."""
 
@@ -45,15 +44,28 @@ class Followed:
 class Compression:
     """What came of a task: the configuration, and how it follows each motion by name.
 
-    before: the same with all parameters equal; result: of the search, over the trained motions.
+    before: the same with all parameters equal; result: of the search, over the trained motions;
+    found: number of parameters.
     """
 
     task: Task
     optimiser: str
+    seed: int
+    found: int
     config: Config
     result: Result
     before: Mapping[str, Followed]
     after: Mapping[str, Followed]
+
+    @property
+    def trace(self) -> list[tuple[int, float]]:
+        """Evaluations, and the best RMS distance [mm] over the trained motions after them."""
+        task = self.task
+        size = len(self.before[task.names[0]].error)
+        later = np.exp(task.alpha * np.linspace(0.0, task.duration, size))
+        free = self.config.model.count - len(self.config.anchors.nodes)
+        weight = len(task.trained) * free * later.sum()
+        return [(number, 1e3 * sqrt(cost / weight)) for number, cost in self.result.trace]
 
     def share_left(self, name: str) -> float:
         """Cost by that with all parameters equal."""
@@ -63,7 +75,7 @@ class Compression:
 def compress(
     task: Task,
     optimiser: str = 'gradient',
-    budget: int = 4000,
+    budget: int = BUDGET,
     seed: int = 0,
     jobs: int = 1,
     callback: Callback = lambda evaluations, best: None,
@@ -79,9 +91,8 @@ def compress(
         costs = Parallel(objective, do)
         found = OPTIMISERS[optimiser](costs, space.start, bounds(space), budget, rng, callback)
     config = weighed(space.apply(found.best))
-    return Compression(
-        task, optimiser, config, found, follow(task, task.equal), follow(task, config)
-    )
+    before, after = follow(task, task.equal), follow(task, config)
+    return Compression(task, optimiser, seed, len(space), config, found, before, after)
 
 
 def bounds(space: Space) -> Bounds:

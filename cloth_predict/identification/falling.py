@@ -35,6 +35,7 @@ class Release:
     text: str = ''
 
 
+HANGING = Release(-np.pi / 2)
 RELEASES = {
     'falling': Release(0.0, text='level, at rest (Gomes 2016, section 3.3)'),
     'raised': Release(np.pi / 4, text='45 degrees above level, at rest'),

@@ -1,0 +1,138 @@
+"""The command `compress`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from cloth_predict.command_line.options import (
+    Add,
+    best_so_far,
+    count,
+    positive,
+    progress_bar,
+    whole,
+)
+from cloth_predict.config import load
+from cloth_predict.identification import compression_report
+from cloth_predict.identification.compression import BUDGET, compress
+from cloth_predict.identification.compression_task import THESIS, Grid, Task
+from cloth_predict.identification.falling import DURATION, RELEASES
+from cloth_predict.identification.modal import rivals
+from cloth_predict.identification.provenance import write_configuration
+from cloth_predict.identification.task import ALPHA, OPTIMISERS
+
+
+def add(command: Add) -> None:
+    """Add the command."""
+    parser = command(
+        'compress', _compress, 'find a coarse sheet that falls and swings as a dense one does'
+    )
+    known = '; '.join(f'{name}: {release.text}' for name, release in RELEASES.items())
+    grids = (('--from', 'source', 'dense sheet', '21x21'), ('--to', 'target', 'coarse one', '5x5'))
+    for option, name, what, usual in grids:
+        text = f'rows and columns of nodes of the {what}; default {usual}'
+        parser.add(option, dest=name, type=grid, default=grid(usual), metavar='RxC', help=text)
+    parser.add(
+        '-c',
+        '--config',
+        type=Path,
+        help='size, mass, springs and dampers of the dense sheet, settings of the filter; '
+        'default: the sheet of Gomes 2016, section 3.3',
+    )
+    parser.json().add('-o', '--output', type=Path, required=True, help='parameter file to write')
+    parser.add(
+        '--scenarios',
+        nargs='+',
+        default=['falling', 'raised'],
+        choices=RELEASES,
+        metavar='NAME',
+        help=f'how the sheet is let go, to train on; default falling raised. {known}',
+    )
+    parser.add(
+        '--held-out',
+        nargs='*',
+        choices=RELEASES,
+        metavar='NAME',
+        help='on which the result is judged only; default: all others',
+    )
+    parser.add(
+        '--optimiser', choices=sorted(OPTIMISERS), default='gradient', help='default: gradient'
+    )
+    parser.add(
+        '--budget',
+        type=count,
+        default=BUDGET,
+        metavar='N',
+        help=f'most evaluations of the model; default {BUDGET}',
+    )
+    parser.add(
+        '--alpha',
+        type=float,
+        default=ALPHA,
+        metavar='A',
+        help=f'weight exp(A t) of the time since the start; default {ALPHA:g}',
+    )
+    parser.add('--no-loads', action='store_true', help='no factor of gravity for each node')
+    parser.add(
+        '--duration',
+        type=positive,
+        default=DURATION,
+        metavar='S',
+        help=f'length of each scenario in seconds; default {DURATION:g}',
+    )
+    parser.add('--jobs', type=count, default=1, metavar='N', help='processes; default 1')
+    parser.add('--seed', type=whole, default=0, help='of the search; default 0')
+    parser.add(
+        '--report',
+        type=Path,
+        metavar='FOLDER',
+        help='tables and pictures, and a comparison with modal reduction, which takes minutes',
+    )
+
+
+def grid(text: str) -> Grid:
+    """Return rows and columns, written as 21x21."""
+    try:
+        rows, cols = map(int, text.lower().split('x'))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f'{text} is no grid such as 21x21') from None
+    return rows, cols
+
+
+def _compress(options: argparse.Namespace) -> None:
+    others = tuple(name for name in RELEASES if name not in options.scenarios)
+    task = Task(
+        options.source,
+        options.target,
+        tuple(options.scenarios),
+        others if options.held_out is None else tuple(options.held_out),
+        THESIS if options.config is None else load(options.config),
+        options.duration,
+        options.alpha,
+        not options.no_loads,
+    )
+    with progress_bar('compress', 'evaluation')(options.budget) as bar:
+        show = best_so_far(bar, 'm^2')
+        found = compress(
+            task,
+            options.optimiser,
+            options.budget,
+            options.seed,
+            options.jobs,
+            lambda evaluations, best: show(evaluations, options.budget, best),
+        )
+    write_configuration(options.output, compression_report.file(found))
+    beside = []
+    if options.report is not None and not found.result.interrupted:
+        with progress_bar('compare', 'model')(0) as bar:
+            beside = rivals(found, lambda _: bar.update())
+    if options.report is not None:
+        compression_report.write(found, beside, options.report)
+    if options.json:
+        print(json.dumps(compression_report.summary(found, beside)))
+    else:
+        print(f'{compression_report.text(found, beside)}\n{options.output}: written')
+    if found.result.interrupted:
+        raise KeyboardInterrupt
