@@ -13,7 +13,7 @@ PIP := -m pip install -qq --disable-pip-version-check
 READY := $(VENV)/.ready
 COLCON_READY := $(COLCON_VENV)/.ready
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint bench reproduce clean
 
 help:  ## List the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
@@ -31,6 +31,9 @@ lint: $(READY)  ## Check style, formatting and types
 
 bench: $(READY)  ## Run every benchmark
 	@set -e; for file in benchmarks/bench_*.py; do echo "== $$file"; $(VENV)/bin/python $$file; done
+
+reproduce: $(READY)  ## Repeat the experiments of Gomes 2016, quickly; results in out/gomes2016
+	$(VENV)/bin/cloth-predict reproduce gomes2016 --quick -o out/gomes2016 $(ARGS)
 
 clean:  ## Remove all that the other targets made, the environments too
 	rm -rf .venv .venv312 $(COLCON_VENV) build install log out *.egg-info
