@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import warnings
 from pathlib import Path
 
 from cloth_predict.command_line.options import (
@@ -15,11 +16,12 @@ from cloth_predict.command_line.options import (
     whole,
 )
 from cloth_predict.config import load
+from cloth_predict.errors import ClothPredictError, ClothPredictWarning
 from cloth_predict.identification import compression_report
-from cloth_predict.identification.compression import BUDGET, compress
+from cloth_predict.identification.compression import BUDGET, Compression, compress
 from cloth_predict.identification.compression_task import THESIS, Grid, Task
 from cloth_predict.identification.falling import DURATION, RELEASES
-from cloth_predict.identification.modal import rivals
+from cloth_predict.identification.modal import Rival, rivals
 from cloth_predict.identification.provenance import write_configuration
 from cloth_predict.identification.task import ALPHA, OPTIMISERS
 
@@ -124,10 +126,9 @@ def _compress(options: argparse.Namespace) -> None:
             lambda evaluations, best: show(evaluations, options.budget, best),
         )
     write_configuration(options.output, compression_report.file(found))
-    beside = []
+    beside: list[Rival] = []
     if options.report is not None and not found.result.interrupted:
-        with progress_bar('compare', 'model')(0) as bar:
-            beside = rivals(found, lambda _: bar.update())
+        beside = _beside(found)
     if options.report is not None:
         compression_report.write(found, beside, options.report)
     if options.json:
@@ -136,3 +137,13 @@ def _compress(options: argparse.Namespace) -> None:
         print(f'{compression_report.text(found, beside)}\n{options.output}: written')
     if found.result.interrupted:
         raise KeyboardInterrupt
+
+
+def _beside(found: Compression) -> list[Rival]:
+    """Measure what else the sheet could be reduced to; a warning where that cannot be."""
+    try:
+        with progress_bar('compare', 'model')(0) as bar:
+            return rivals(found, lambda _: bar.update())
+    except ClothPredictError as error:
+        warnings.warn(str(error), ClothPredictWarning, stacklevel=2)
+        return []

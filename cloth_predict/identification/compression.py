@@ -124,8 +124,11 @@ def follow(task: Task, config: Config) -> dict[str, Followed]:
         objective = replace(task.objective(task.names, 0.0), space=Space(config, ()))
         scenario = objective.scenarios[k]
         try:
-            off = np.square(objective.residuals(k, np.zeros(0))).sum(axis=1)
+            with np.errstate(all='ignore'):
+                off = np.square(objective.residuals(k, np.zeros(0))).sum(axis=1)
         except FloatingPointError:
+            off = np.full(len(scenario.times), np.nan)
+        if not np.isfinite(off).all():
             off = np.full(len(scenario.times), np.nan)
         free = config.model.count - len(config.anchors.nodes)
         found[name] = Followed(float(scenario.weights(task.alpha) @ off), off / free)

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from cloth_predict.config import Config
+from cloth_predict.errors import ConfigError
 from cloth_predict.identification.trajectory import Scenario, simulate
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.surface.assembly import build_mass_spring, rest_shape
@@ -81,14 +82,23 @@ def sheet(config: Config) -> MassSpring:
 
 @lru_cache(maxsize=8)
 def motion(config: Config, name: str, duration: float = DURATION) -> Motion:
-    """Let the sheet of a configuration go in one of the `RELEASES`, by implicit steps."""
+    """Let the sheet of a configuration go in one of the `RELEASES`, by implicit steps.
+
+    Raises ConfigError where its model does not get to the end.
+    """
     model = sheet(config)
     position, velocity = released(config, RELEASES[name])
     times: FloatArray = STEP * np.arange(round(duration / STEP) + 1, dtype=float)
     held = np.broadcast_to(position[model.driven], (len(times), len(model.driven), 3))
     nothing = np.zeros((len(times), 0, 3))
     alone = Scenario(name, times, position, velocity, held, nothing, np.zeros(0, np.int64))
-    states = simulate(model, alone)
+    try:
+        with np.errstate(all='ignore'):
+            states = simulate(model, alone)
+    except FloatingPointError:
+        raise ConfigError(
+            f'model: the dense sheet diverges in scenario {name}, with steps of {STEP:g} s'
+        ) from None
     found = np.repeat(position[None], len(times), axis=0)
     found[:, model.free] = states[:, : model.dim_x // 2].reshape(len(times), -1, 3)
     return Motion(name, times, np.asarray(read_only(found)), velocity)
@@ -108,8 +118,9 @@ def released(config: Config, release: Release) -> tuple[FloatArray, FloatArray]:
 
 def _directions(gravity: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Unit vectors along the first row, down, and out of the plane of a hanging sheet."""
-    size = float(np.linalg.norm(gravity))
-    down = gravity / size if size else np.array([0.0, -1.0, 0.0])
+    largest = np.abs(gravity).max()
+    down = gravity / largest if largest else np.array([0.0, -1.0, 0.0])
+    down /= np.linalg.norm(down)
     first = np.eye(3)[0] if abs(down[0]) < 0.9 else np.eye(3)[1]
     across = first - (first @ down) * down
     across /= np.linalg.norm(across)

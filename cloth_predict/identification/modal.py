@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from cloth_predict.config import Config
+from cloth_predict.errors import ClothPredictError
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.identification.compression import Compression
 from cloth_predict.identification.compression_task import Task
@@ -75,7 +76,8 @@ def rivals(found: Compression, progress: Callable[[str], None] = lambda name: No
     """Measure the coarse sheets, and reductions to several numbers of shapes.
 
     Shapes are those of the motions that were trained on, or of small vibrations about the sheet at
-    rest. Times are of this machine, at this moment.
+    rest. Times are of this machine, at this moment. Raises ClothPredictError for a sheet that has
+    no rest.
     """
     task, results = found.task, []
     motions = {name: motion(task.dense, name, task.duration) for name in task.names}
@@ -104,7 +106,10 @@ def _models(found: Compression) -> Iterator[_Model]:
         yield _coarse(kind, config, task.chosen, flat)
     dense, coarse = sheet(task.dense), sheet(found.config)
     u = dense.input(flat[dense.driven])
-    rest = settled(dense, u, flat)
+    try:
+        rest = settled(dense, u, flat)
+    except FloatingPointError as error:
+        raise ClothPredictError(f'no comparison with modal reduction: {error}') from None
     for kind, mesh, nodes in (
         (MOTIONS, dense, np.arange(dense.nodes)),
         (BOTH, coarse, task.chosen),
