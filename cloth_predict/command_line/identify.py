@@ -5,12 +5,17 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
-from tqdm import tqdm
-
-from cloth_predict.command_line.options import Add, horizon, pixels, positive, progress_bar, whole
+from cloth_predict.command_line.options import (
+    Add,
+    best_so_far,
+    count,
+    horizon,
+    positive,
+    progress_bar,
+    whole,
+)
 from cloth_predict.config import load
 from cloth_predict.errors import ClothPredictWarning
 from cloth_predict.identification.identified import Identified, Outputs, Settings
@@ -57,10 +62,10 @@ def add(command: Add) -> None:
     )
     parser.add(
         '--budget',
-        type=pixels,
+        type=count,
         metavar='N',
         help='most evaluations of the cost; default: '
-        + ', '.join(f'{name} {count}' for name, count in BUDGETS.items()),
+        + ', '.join(f'{name} {most}' for name, most in BUDGETS.items()),
     )
     parser.add(
         '--horizon',
@@ -82,7 +87,7 @@ def add(command: Add) -> None:
         metavar='S',
         help=f'trajectory: how long the model is left to itself; default {WINDOW:g}',
     )
-    parser.add('--jobs', type=pixels, default=1, metavar='N', help='processes; default 1')
+    parser.add('--jobs', type=count, default=1, metavar='N', help='processes; default 1')
     parser.add('--seed', type=whole, default=0, help='of the search; default 0')
     parser.add(
         '--resume', type=Path, metavar='FILE', help='study to go on with (NAME.study.jsonl)'
@@ -107,24 +112,14 @@ def _identify(options: argparse.Namespace) -> None:
     )
     with progress_bar('identify', 'evaluation')(0) as bar:
         found = identify(
-            options.bag, options.output, task, options.held_out, settings, _shown(bar)
+            options.bag, options.output, task, options.held_out, settings, best_so_far(bar, 'mm')
         )
     print(json.dumps(found.summary()) if options.json else _text(found, options.output))
-    if found.loose:
-        message = f'these recordings do not fix {", ".join(found.loose)}: do not trust the values'
-        warnings.warn(message, ClothPredictWarning, stacklevel=2)
+    if found.caution:
+        warnings.warn(found.caution, ClothPredictWarning, stacklevel=2)
     if found.result.interrupted:
         raise KeyboardInterrupt
 
 
 def _text(found: Identified, output: Path) -> str:
     return f'{found.text()}\n{Outputs.at(output).configuration}: written'
-
-
-def _shown(bar: tqdm) -> Callable[[int, int, float], None]:
-    def show(done: int, budget: int, best: float) -> None:
-        bar.total = budget
-        bar.set_postfix_str(f'best {best:.4g} mm', refresh=False)
-        bar.update(done - bar.n)
-
-    return show

@@ -21,6 +21,8 @@ NEAR = 0.02
 """Distance from an end of the range, on the scale of the search, that counts as being there."""
 MOST_LISTED = 24
 """Parameters that are told one by one in a text; of more, those that stand out."""
+MOST_NAMED = 6
+"""Parameters that a line names."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,13 @@ class Identified:
         return tuple(value.name for value in self.parameters if value.loose)
 
     @property
+    def caution(self) -> str:
+        """What speaks against the result, in one line, or nothing."""
+        if not self.loose:
+            return ''
+        return f'these recordings do not fix {_listed(self.loose)}: do not trust the values'
+
+    @property
     def trace(self) -> list[tuple[int, float]]:
         """Evaluations, and the best RMS distance [mm] after them."""
         return [(number, 1e3 * sqrt(cost / self.weight)) for number, cost in self.result.trace]
@@ -211,8 +220,8 @@ class Identified:
 
 
 def _listed(names: tuple[str, ...]) -> str:
-    more = f' and {len(names) - MOST_LISTED} more' if len(names) > MOST_LISTED else ''
-    return ', '.join(names[:MOST_LISTED]) + more
+    more = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
+    return ', '.join(names[:MOST_NAMED]) + more
 
 
 def _plain(number: float) -> float | None:
