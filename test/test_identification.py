@@ -195,7 +195,7 @@ def objective(names, alpha=2.0, **model):
     position = shape + rng.normal(0, 0.02, shape.shape)
     driven = position[[0, 2]] + 0.05 * np.sin(6 * times)[:, None, None]
     target = shape + rng.normal(0, 0.05, (len(times), *shape.shape))
-    target[5, 3] = np.nan
+    target[5, 5] = np.nan
     velocity = rng.normal(0, 0.3, shape.shape)
     seen = np.array([11, 1, 0, 5, 7])
     scenario = Scenario('wild', times, position, velocity, driven, target[:, seen], seen)
@@ -243,6 +243,9 @@ def test_the_cost_is_that_of_the_motion_written_out():
         found = trajectory.part(k, trajectory.space.start)
         assert found == pytest.approx(one_by_one(trajectory, k, trajectory.space.start), rel=1e-9)
         # rounding, grown over 24 steps
+    weights = np.exp(2.0 * trajectory.scenarios[0].times)
+    known = 2 * (4 * weights.sum() - weights[5])  # of five nodes one is driven, one unknown once
+    assert trajectory.weight == pytest.approx(known, rel=1e-12)  # rounding
 
 
 @pytest.mark.parametrize('names', [SHARED, LISTS], ids=['shared', 'lists'])
@@ -334,6 +337,8 @@ def test_costs_that_are_not_finite_are_refused_and_the_best_valid_one_is_kept(na
     assert np.isfinite(found.cost)
     assert found.best[0] <= 0.4
     assert found.cost < bowl(np.zeros(2))
+    if name == 'cma':  # it comes to the edge of the hole, where the bowl is 1 + 3 * 0.3^2
+        assert found.cost == pytest.approx(1.27, abs=1e-3)
 
 
 @pytest.mark.parametrize('name', OPTIMISERS)
@@ -372,28 +377,36 @@ def test_a_budget_is_kept_and_a_gradient_counts_by_its_price(name, price):
     assert found.stopped == 'the budget is spent'
 
 
-def test_annealing_takes_what_is_worse_as_often_as_its_temperature_says():
-    # a step up by dC = 0.5 from a plain, at T = 0.1 C: exp(-0.5 / 0.1 / 10) of candidates
-    levels = []
+def metropolis(cost, start, budget, rng):
+    """Gomes 2016, section 5.2, with the constants written out; the vectors that are tried."""
+    here, best, tried = start, cost(start), [start]
+    temperature, plateau = 0.1 * best, min(10 * len(start), 200)
+    while len(tried) < budget:
+        candidate = np.clip(here + rng.normal(0.0, 0.1, len(start)), *WIDE)  # 5.11
+        tried.append(candidate)
+        found = cost(candidate)
+        if found <= best or rng.random() < np.exp((best - found) / temperature):
+            here, best = candidate, found
+        if (len(tried) - 1) % plateau == 0:
+            temperature *= 0.9
+    return tried
 
-    def stairs(vector):
-        levels.append(10.0 + 0.5 * (len(levels) % 2))
-        return levels[-1]
 
-    accepted = []
+def test_annealing_is_that_of_the_thesis():
+    tried = []
 
-    class Watched(np.random.Generator):
-        def random(self):
-            value = super().random()
-            accepted.append(value)
-            return value
+    def rough(vector):
+        return 1.0 + vector @ vector + 0.3 * np.sin(20 * vector).sum()
 
-    start = np.zeros(40)
-    bounds = start - 5, start + 5
-    anneal(Plain(stairs), start, bounds, 200, Watched(np.random.PCG64(1)))
-    # T = 1 at first, 200 candidates long: a candidate that is worse by 0.5 is taken in exp(-0.5)
-    share = np.mean(np.array(accepted) < np.exp(-0.5))
-    assert share == pytest.approx(np.exp(-0.5), abs=0.15)  # 3 sigma of 100 draws
+    def watched(vector):
+        tried.append(vector)
+        return rough(vector)
+
+    lowered('annealing', Plain(watched), budget=500, start=(0.5, -0.5))
+    expected = metropolis(rough, np.array([0.5, -0.5]), 500, np.random.default_rng(1))
+    np.testing.assert_array_equal(tried, expected)
+    moves = [rough(b) > rough(a) for a, b in pairwise(tried)]
+    assert 0.2 < np.mean(moves) < 0.8  # it does go uphill
 
 
 # --- known parameters come back ---------------------------------------------------------------
@@ -442,10 +455,9 @@ def test_the_gradient_needs_a_tenth_of_the_evaluations_of_annealing():
     case = labelled_case(recording(1, 1.5), space.config, 'towel')
     costs = costs_of(Summed((trajectories(case, space, 9.0),)))
     found = descend(costs, space.start, space.bounds, 300, np.random.default_rng(0))
-    # annealing finds 1.453 mm after 1412 evaluations, and no less in 2000
-    # (benchmarks/bench_identify.py)
-    target = 1.453e-3**2 * costs.objective.weight
-    assert next(number for number, cost in found.trace if cost <= target) <= 141
+    # annealing finds 1.122 mm after 1976 evaluations (benchmarks/bench_identify.py)
+    target = 1.122e-3**2 * costs.objective.weight
+    assert next(number for number, cost in found.trace if cost <= target) <= 197
 
 
 # --- how well parameters are determined -------------------------------------------------------
@@ -470,6 +482,14 @@ def test_residuals_that_are_alike_count_once():
     found = determined(slopes, noise, blocks, 0.0)
     once = determined(slopes[::10], noise[::10], blocks[::10], 0.0)
     np.testing.assert_allclose(found.sigma, once.sigma, rtol=1e-12)  # rounding
+
+
+def test_few_blocks_give_the_standard_error_of_their_mean():
+    residuals = np.random.default_rng(7).normal(size=(6, 5))
+    residuals -= residuals.mean()
+    found = determined(np.ones((30, 1)), residuals.ravel(), np.repeat(np.arange(6), 5), 0.0)
+    expected = np.std(residuals.mean(axis=1), ddof=1) / np.sqrt(6)
+    assert found.sigma[0] == pytest.approx(expected, rel=1e-12)  # rounding
 
 
 def test_a_parameter_without_effect_is_not_determined():

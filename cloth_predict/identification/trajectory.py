@@ -98,7 +98,8 @@ class Trajectory:
     @property
     def weight(self) -> float:
         """Weights of all that is known, so that cost by weight is a mean squared distance."""
-        known = [np.isfinite(s.target).all(axis=-1).sum(axis=1) for s in self.scenarios]
+        mesh = self.build(self.space.config)
+        known = [np.isfinite(_target(mesh, s)).sum(axis=1) / 3.0 for s in self.scenarios]
         pairs = zip(self.scenarios, known, strict=True)
         return float(sum(scenario.weights(self.alpha) @ count for scenario, count in pairs))
 
