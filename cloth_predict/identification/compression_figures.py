@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from cloth_predict.identification.compression import Compression
 from cloth_predict.identification.cost_curve import draw
@@ -70,5 +71,8 @@ def at_cost(found: Compression, rivals: Sequence[Rival], path: Path) -> None:
             rms = [np.sqrt(np.mean([rival.rms[name] ** 2 for name in names])) for rival in own]
             axes.loglog([1e3 * r.cycle for r in own], 1e3 * np.array(rms), 'o-', label=kind)
         axes.set(title=side, xlabel='EKF cycle, ms', ylabel='RMS distance, mm')
+    panels[0].xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panels[0].xaxis.set_major_formatter('{x:g}')
+    panels[0].xaxis.set_minor_formatter(NullFormatter())
     panels[0].legend(fontsize='small')
     figure.savefig(path, dpi=110)
