@@ -74,7 +74,8 @@ def add(command: Add) -> None:
         type=float,
         default=ALPHA,
         metavar='A',
-        help=f'weight exp(A t) of the time since the start; default {ALPHA:g}',
+        help=f'weight exp(A t) of the time since the start; default {ALPHA:g}; -1 lets the first '
+        'second count most, which serves predictions',
     )
     parser.add('--no-loads', action='store_true', help='no factor of gravity for each node')
     parser.add(
