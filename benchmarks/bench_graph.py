@@ -8,6 +8,7 @@ frames that were due, published, and heard by another process after their vsync.
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import signal
 import subprocess
@@ -66,7 +67,10 @@ class Vertices:
         late, stamps = np.array(self.late_ms[skipped:]), self._stamps[skipped:]
         due = round(1e-9 * (stamps[-1] - stamps[0]) * fps) + 1
         p50, p99 = np.percentile(late, [50, 99])
-        stages = ', '.join(f'{k} {v}' for k, v in self.budget.items() if k.endswith('_ms'))
+        told = ('late_frames', 'missed_frames', 'late_predictions', 'held_frames')
+        stages = ', '.join(
+            f'{k} {v}' for k, v in self.budget.items() if k.endswith('_ms') or k in told
+        )
         return (
             f'{due} frames due, {len(late)} published, {(late > 0).sum()} heard after their '
             f'vsync; arrival by the vsync p50 {p50:+.2f} ms, p99 {p99:+.2f} ms, latest '
@@ -92,6 +96,8 @@ def main(minutes: float, vsync: bool) -> None:
         listen(probe, topic, counts)
     vertices = Vertices(probe) if vsync else None
     more = VSYNC if vsync else ()
+    gc.collect()
+    gc.freeze()  # as the nodes do
     running = {name: start(name, (*rules, *more)) for name, rules in NODES.items()}
     try:
         memory = watch(probe, running, counts, minutes)

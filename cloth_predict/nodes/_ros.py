@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import copy
+import gc
 import os
 import sys
 import threading
@@ -131,6 +132,9 @@ def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> in
     try:
         with one_core():
             node = make()
+            # a collection that looks through all of the libraries stops a node for some ten ms
+            gc.collect()
+            gc.freeze()
             spin(node, lambda: not getattr(node, 'finished', False))
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
