@@ -33,6 +33,7 @@ from cloth_predict.evaluation.report import report
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.formats.bag import BagWriter, create_bag, write_recording
 from cloth_predict.formats.calibration_file import DeviceCalibration, write_calibration
+from cloth_predict.formats.files import make_folder
 from cloth_predict.formats.pairs_csv import read_pairs
 from cloth_predict.formats.pointcloud import encode_markers, encode_surface
 from cloth_predict.formats.recording import read
@@ -228,11 +229,3 @@ def keep_source(source: Path, output: Path) -> None:
     both_there = os.path.exists(source) and os.path.exists(output)
     if both_there and os.path.samefile(source, output):
         raise FormatError(f'{output}: is the recording itself; choose another output')
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder for results. Raises FormatError where that cannot be."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f'{path}: cannot be written: {error.strerror}') from None

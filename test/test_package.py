@@ -98,6 +98,7 @@ ONLY = {
     'integrators': {'types', 'errors', 'models'},
     'observations': {'types', 'errors', 'models'},
 }
+ABOVE = {'identification', 'experiments'}
 NEVER = {
     'filters': {
         'surface',
@@ -105,14 +106,17 @@ NEVER = {
         'tracking',
         'tracker',
         'evaluation',
+        *ABOVE,
         'cli',
         'command_line',
         'nodes',
     },
-    'surface': {'tracking', 'tracker', 'evaluation', 'cli', 'command_line', 'nodes'},
-    'markers': {'tracking', 'tracker', 'evaluation', 'cli', 'command_line', 'nodes'},
-    'tracking': {'tracker', 'evaluation', 'cli', 'command_line', 'nodes', 'formats'},
-    'tracker': {'evaluation', 'cli', 'command_line', 'nodes', 'formats'},
+    'surface': {'tracking', 'tracker', 'evaluation', *ABOVE, 'cli', 'command_line', 'nodes'},
+    'markers': {'tracking', 'tracker', 'evaluation', *ABOVE, 'cli', 'command_line', 'nodes'},
+    'tracking': {'tracker', 'evaluation', *ABOVE, 'cli', 'command_line', 'nodes', 'formats'},
+    'tracker': {'evaluation', *ABOVE, 'cli', 'command_line', 'nodes', 'formats'},
+    'evaluation': {*ABOVE, 'cli', 'command_line', 'nodes'},
+    'identification': {'experiments', 'cli', 'command_line', 'nodes'},
     'cli': {'cli'},
     'command_line': {'cli', 'nodes'},
     'nodes': {'cli', 'command_line'},

@@ -7,10 +7,10 @@ import json
 from pathlib import Path
 
 from cloth_predict.command_line.options import Add, progress_bar
-from cloth_predict.commands import make_folder
 from cloth_predict.errors import ConfigError
 from cloth_predict.experiments.gomes2016 import EXPERIMENTS, reproduce, table
 from cloth_predict.experiments.rows import Scope
+from cloth_predict.formats.files import make_folder
 
 
 def add(command: Add) -> None:

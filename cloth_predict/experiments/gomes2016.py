@@ -22,6 +22,7 @@ from cloth_predict.experiments import (
     towel,
 )
 from cloth_predict.experiments.rows import Experiment, Row, Scope
+from cloth_predict.formats.files import writing
 
 EXPERIMENTS: tuple[Experiment, ...] = (
     *integration.EXPERIMENTS,
@@ -66,8 +67,10 @@ def reproduce(
 
 def write(rows: Sequence[Row], output: Path) -> None:
     """Write the table as Markdown and as JSON."""
-    (output / 'table.md').write_text(table(rows))
-    (output / 'table.json').write_text(json.dumps([row.summary() for row in rows], indent=1))
+    numbers = json.dumps([row.summary() for row in rows], indent=1)
+    with writing(output):
+        (output / 'table.md').write_text(table(rows), encoding='utf-8')
+        (output / 'table.json').write_text(numbers, encoding='utf-8')
 
 
 def table(rows: Sequence[Row]) -> str:

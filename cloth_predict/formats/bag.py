@@ -18,6 +18,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 from rosbags.typesys import Stores, get_typestore
 
 from cloth_predict.errors import FormatError, FrameError
+from cloth_predict.formats.files import writing
 from cloth_predict.formats.pointcloud import (
     MARKERS,
     UNLABELLED,
@@ -108,16 +109,15 @@ def create_bag(path: Path, labels: tuple[str, ...] = ()) -> Iterator[BagWriter]:
     partial = path.parent / f'.{path.name}.partial'
     shutil.rmtree(partial, ignore_errors=True)
     try:
-        # The inner name is fixed, because the file's own metadata holds it and the same content
-        # is to give the same bytes under any name.
-        writer = Writer(partial / 'bag', version=9, storage_plugin=StoragePlugin.MCAP)
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-        writer.set_custom_data(OWN_KEY, json.dumps({'labels': labels}))
-        with writer:
-            yield BagWriter(writer, path)
-        _replace(partial / 'bag', path)
-    except OSError as error:
-        raise FormatError(f'{path}: cannot be written: {error.strerror or error}') from None
+        with writing(path):
+            # The inner name is fixed, because the file's own metadata holds it and the same
+            # content is to give the same bytes under any name.
+            writer = Writer(partial / 'bag', version=9, storage_plugin=StoragePlugin.MCAP)
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            writer.set_custom_data(OWN_KEY, json.dumps({'labels': labels}))
+            with writer:
+                yield BagWriter(writer, path)
+            _replace(partial / 'bag', path)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cloth_predict.errors import FormatError
+from cloth_predict.formats.files import writing
 from cloth_predict.formats.opencv_yaml import parse
 from cloth_predict.types import FloatArray
 
@@ -83,10 +84,8 @@ def write_calibration(path: Path, calibration: DeviceCalibration, error: float) 
                 '   dt: d',
                 f'   data: [ {numbers} ]',
             ]
-    try:
+    with writing(path):
         path.write_text('\n'.join(lines) + '\n', encoding='utf-8')
-    except OSError as problem:
-        raise FormatError(f'{path}: cannot be written: {problem.strerror}') from None
 
 
 class _Entries:

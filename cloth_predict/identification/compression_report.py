@@ -8,7 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from cloth_predict.errors import FormatError
+from cloth_predict.formats.files import writing
 from cloth_predict.identification import compression_figures as figures
 from cloth_predict.identification.compression import Compression
 from cloth_predict.identification.falling import RELEASES
@@ -78,7 +78,7 @@ def file(found: Compression) -> str:
 
 def write(found: Compression, rivals: Sequence[Rival], folder: Path) -> None:
     """Write tables, numbers and pictures. Raises FormatError where that cannot be."""
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / 'compression.txt').write_text(text(found, rivals) + '\n', encoding='utf-8')
         numbers = json.dumps(summary(found, rivals), indent=1)
@@ -88,8 +88,6 @@ def write(found: Compression, rivals: Sequence[Rival], folder: Path) -> None:
         figures.parameters(found, folder / 'parameters.png')
         if rivals:
             figures.at_cost(found, rivals, folder / 'rivals.png')
-    except OSError as error:
-        raise FormatError(f'{folder}: cannot be written: {error.strerror}') from None
 
 
 def _notes(found: Compression) -> dict[str, str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from cloth_predict.errors import FormatError
+from cloth_predict.formats.files import writing
 
 mpl.use('Agg')
 
@@ -32,7 +32,5 @@ def draw(trace: Sequence[tuple[int, float]], label: str, evaluations: int, path:
     )
     axes.grid(which='both', color='0.9')
     axes.legend()
-    try:
+    with writing(path):
         figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise FormatError(f'{path}: cannot be written: {error.strerror}') from None

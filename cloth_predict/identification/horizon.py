@@ -124,15 +124,27 @@ class Horizon:
 
     @cached_property
     def _asked(self) -> BoolArray:
-        asked = self._reference[1] & free_markers(self.space.config)
-        asked = np.asarray(asked & np.isfinite(self._held).all(axis=-1))
-        if not asked.any():
-            raise FormatError(
-                f'{self.case.name}: nothing to judge {self.horizon:g} s ahead after the first '
-                f'{WARM_UP:g} s: the recording is too short, or too gappy'
-            )
-        return asked
+        return self._reference[1]
 
     @cached_property
     def _reference(self) -> tuple[FloatArray, BoolArray]:
-        return asked_at(self._stamps, self.horizon, self.case.reference)
+        return asked_of(self.case, self.space.config, self.horizon, self._stamps, self._held)
+
+
+def asked_of(
+    case: Case, config: Config, horizon: float, stamps: IntArray, held: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Where the markers are `horizon` [s] after frames [m], and which of them are asked for.
+
+    stamps [ns], shape (frames,); held [m], shape (frames, markers, 3): the markers last seen then.
+    Asked for, shape (frames, markers), are the free ones that were seen before. Raises FormatError
+    where there is none.
+    """
+    actual, asked = asked_at(stamps, horizon, case.reference)
+    asked = np.asarray(asked & free_markers(config) & np.isfinite(held).all(axis=-1))
+    if not asked.any():
+        raise FormatError(
+            f'{case.name}: nothing to judge {horizon:g} s ahead after the first {WARM_UP:g} s: '
+            f'the recording is too short, or too gappy'
+        )
+    return actual, asked

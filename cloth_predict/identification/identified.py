@@ -12,11 +12,10 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.identification.determined import LOOSE, Determined
-from cloth_predict.identification.provenance import with_provenance
+from cloth_predict.identification.provenance import HELD_OUT, with_provenance
 from cloth_predict.identification.result import Result
 from cloth_predict.identification.task import Task
 
-TRAINED, HELD_OUT = 'recordings', 'held out'
 NEAR = 0.02
 """Distance from an end of the range, on the scale of the search, that counts as being there."""
 MOST_LISTED = 24

@@ -9,22 +9,23 @@ from pathlib import Path
 
 import numpy as np
 
-from cloth_predict.config import Config
-from cloth_predict.errors import FormatError
-from cloth_predict.evaluation.cases import Case, case_of
-from cloth_predict.formats.recording import read
+from cloth_predict.evaluation.cases import Case
+from cloth_predict.formats.files import make_folder
 from cloth_predict.identification.cost_curve import draw
 from cloth_predict.identification.determined import determined
 from cloth_predict.identification.identified import (
-    HELD_OUT,
-    TRAINED,
     Identified,
     Outputs,
     Scores,
     Settings,
 )
 from cloth_predict.identification.parallel import Called, Objective, Parallel
-from cloth_predict.identification.provenance import recording_line, write_configuration
+from cloth_predict.identification.provenance import (
+    HELD_OUT,
+    TRAINED,
+    read_cases,
+    write_configuration,
+)
 from cloth_predict.identification.result import Result
 from cloth_predict.identification.study import Study
 from cloth_predict.identification.task import BUDGETS, OPTIMISERS, USUAL, Task
@@ -48,8 +49,8 @@ def identify(
     Ctrl-C writes the best so far. What is held out has no say in the search.
     """
     settings = settings or Settings()
-    cases, names = _cases(sources, task.config)
-    others, held = _cases(held_out, task.config)
+    cases, names = read_cases(sources, task.config)
+    others, held = read_cases(held_out, task.config)
     optimiser = settings.optimiser or USUAL[task.objective]
     files, cost = Outputs.at(output), task.objective_on(cases, every=False)
     seen = cost if task.objective == 'trajectory' else task.objective_on(cases)
@@ -93,7 +94,7 @@ def _searched(
     space, weight = task.space, costs.objective.weight
     facts = {**task.facts(cases), 'optimiser': optimiser, 'seed': str(settings.seed)}
     resumed = settings.resume is not None
-    _make_folder(files.configuration.parent)
+    make_folder(files.configuration.parent)
     study = Study(costs, settings.resume or files.study, facts, resumed)
     budget = settings.budget or BUDGETS[optimiser]
 
@@ -110,19 +111,6 @@ def _scored(objective: Objective, best: FloatArray, jobs: int) -> Scores:
         costs = Parallel(objective, do).values([objective.space.start, best])
     before, after = (1e3 * sqrt(max(cost, 0.0) / objective.weight) for cost in costs)
     return Scores(before, after)
-
-
-def _cases(sources: Sequence[Path], config: Config) -> tuple[list[Case], tuple[str, ...]]:
-    recordings = [(str(source), read(source)) for source in sources]
-    cases = [case_of(recording, config, source) for source, recording in recordings]
-    return cases, tuple(recording_line(s, recording.markers) for s, recording in recordings)
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FormatError(f'{path}: cannot be written: {error.strerror}') from None
 
 
 def _write(found: Identified, files: Outputs) -> None:

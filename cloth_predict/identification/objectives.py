@@ -9,14 +9,13 @@ from math import nan, sqrt
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.errors import FormatError
 from cloth_predict.evaluation.cases import Case
-from cloth_predict.evaluation.judging import FEWEST, WARM_UP, asked_at
+from cloth_predict.evaluation.judging import FEWEST
 from cloth_predict.evaluation.predictors import Hold, Tracked
 from cloth_predict.evaluation.runs import follow
+from cloth_predict.identification.horizon import asked_of
 from cloth_predict.identification.likelihood import Fitness, fitness
 from cloth_predict.metrics import distances
-from cloth_predict.surface.layout import free_markers
 
 
 @dataclass(frozen=True)
@@ -41,13 +40,7 @@ def prediction_errors(case: Case, config: Config, horizon: float) -> Errors:
     """
     stamps = case.markers.stamps[case.ahead]
     (held,) = follow(Hold(config), case, [horizon])
-    actual, asked = asked_at(stamps, horizon, case.reference)
-    asked = np.asarray(asked & free_markers(config) & np.isfinite(held.position).all(axis=-1))
-    if not asked.any():
-        raise FormatError(
-            f'{case.name}: nothing to judge {horizon:g} s ahead after the first {WARM_UP:g} s: '
-            f'the recording is too short, or too gappy'
-        )
+    actual, asked = asked_of(case, config, horizon, stamps, held.position)
     (run,) = follow(Tracked(config), case, [horizon])
     known = np.asarray(np.isfinite(run.position).all(axis=-1))
     position = np.where(known[..., None], run.position, held.position)

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from textwrap import wrap
 
 from cloth_predict import __version__
-from cloth_predict.config import Config, dump
-from cloth_predict.errors import FormatError
+from cloth_predict.config import Config, dump, flatten
+from cloth_predict.evaluation.cases import Case, case_of
+from cloth_predict.formats.files import writing
+from cloth_predict.formats.recording import read
 from cloth_predict.types import MarkerSequence
 
+TRAINED, HELD_OUT = 'recordings', 'held out'
+"""On what a configuration is judged."""
+APART = ('replay', 'projector', 'live_check', 'baseline', 'horizon', 'horizons', 'horizon_mode')
+"""What of a configuration has no say in how well the filter does."""
 WIDTH = 96
 """Characters of a comment's line."""
 
@@ -29,6 +36,22 @@ def recording_line(source: str, markers: MarkerSequence) -> str:
     return f'{Path(source).name} (content {content_hash(markers)})'
 
 
+def read_cases(sources: Sequence[Path], config: Config) -> tuple[list[Case], tuple[str, ...]]:
+    """Read recordings as they are evaluated, and name each of them."""
+    recordings = [(str(source), read(source)) for source in sources]
+    cases = [case_of(recording, config, source) for source, recording in recordings]
+    return cases, tuple(recording_line(s, recording.markers) for s, recording in recordings)
+
+
+def kept(config: Config, searched: Container[str]) -> dict[str, str]:
+    """Parameters that a search leaves alone, but on which its results depend."""
+    return {
+        name: str(value)
+        for name, value in flatten(asdict(config)).items()
+        if name.split('.')[0] not in APART and name not in searched
+    }
+
+
 def with_provenance(config: Config, title: str, notes: Mapping[str, str]) -> str:
     """Return a parameter file that begins with comments: a title, and one note under each name."""
     lines = [*wrap(f'{title} (cloth_predict {__version__}).', WIDTH)]
@@ -40,9 +63,7 @@ def with_provenance(config: Config, title: str, notes: Mapping[str, str]) -> str
 def write_configuration(path: Path, text: str) -> None:
     """Write a parameter file in one piece. Raises FormatError naming it where that fails."""
     new = path.with_name(f'.{path.name}.new')
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         new.write_text(text, encoding='utf-8')
         new.replace(path)
-    except OSError as error:
-        raise FormatError(f'{path}: cannot be written: {error.strerror}') from None

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from cloth_predict.errors import FormatError
+from cloth_predict.formats.files import writing
 from cloth_predict.identification.result import Costs
 from cloth_predict.types import FloatArray
 
@@ -81,11 +82,8 @@ class Study:
         return entries
 
     def _write(self, line: object, mode: str = 'a') -> None:
-        try:
-            with self._path.open(mode, encoding='utf-8') as file:
-                file.write(json.dumps(line) + '\n')
-        except OSError as error:
-            raise FormatError(f'{self._path}: cannot be written: {error.strerror}') from None
+        with writing(self._path), self._path.open(mode, encoding='utf-8') as file:
+            file.write(json.dumps(line) + '\n')
 
 
 def _read(path: Path, facts: Mapping[str, str]) -> list[list[Any]]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
-from cloth_predict.config import Config, flatten
+from cloth_predict.config import Config
 from cloth_predict.evaluation.cases import Case
 from cloth_predict.identification.annealing import anneal
 from cloth_predict.identification.cma_es import evolve
@@ -13,10 +13,9 @@ from cloth_predict.identification.gradient import descend
 from cloth_predict.identification.horizon import Horizon
 from cloth_predict.identification.parallel import Objective, Summed
 from cloth_predict.identification.parameters import OF_MODEL, Space
-from cloth_predict.identification.provenance import content_hash
+from cloth_predict.identification.provenance import content_hash, kept
 from cloth_predict.identification.result import Optimiser
 from cloth_predict.identification.stretches import trajectories
-from cloth_predict.identification.tuning import APART
 
 OPTIMISERS: dict[str, Optimiser] = {'annealing': anneal, 'cma': evolve, 'gradient': descend}
 USUAL = {'trajectory': 'gradient', 'horizon': 'cma'}
@@ -69,18 +68,14 @@ class Task:
 
     def facts(self, cases: Iterable[Case]) -> dict[str, str]:
         """What the costs depend on, but for the values that are searched."""
-        space, values = self.space, flatten(asdict(self.config))
+        space = self.space
         searched = {f'{p.group}.{p.field}' for p in space.parameters}
         return {
             'objective': self.meaning,
             'searched': ', '.join(sorted(searched)),
             'start': ', '.join(f'{p.first:.6g}' for p in space.parameters),
             'recordings': ', '.join(content_hash(case.markers) for case in cases),
-            **{
-                name: str(value)
-                for name, value in values.items()
-                if name.split('.')[0] not in APART and name not in searched
-            },
+            **kept(self.config, searched),
         }
 
     @property

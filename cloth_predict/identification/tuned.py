@@ -10,11 +10,12 @@ from typing import Any
 
 from cloth_predict import config as configuration
 from cloth_predict.config import Config, flatten
-from cloth_predict.evaluation.cases import Case, case_of
-from cloth_predict.formats.recording import read
+from cloth_predict.evaluation.cases import Case
 from cloth_predict.identification.objectives import horizon_error
 from cloth_predict.identification.provenance import (
-    recording_line,
+    HELD_OUT,
+    TRAINED,
+    read_cases,
     with_provenance,
     write_configuration,
 )
@@ -28,8 +29,6 @@ from cloth_predict.identification.tuning import (
     search,
     with_scale,
 )
-
-TRAINED, HELD_OUT = 'recordings', 'held out'
 
 
 @dataclass(frozen=True)
@@ -185,8 +184,8 @@ def tune(
     """
     config = configuration.load(config_path)
     horizon = config.horizon if settings.horizon is None else settings.horizon
-    cases, names = _cases(sources, config)
-    others, held = _cases(held_out, config)
+    cases, names = read_cases(sources, config)
+    others, held = read_cases(held_out, config)
     task = prepared(config, cases, settings.method, horizon)
     proposals = proposals_for(task, settings.seed, settings.storage, settings.study)
     trials = settings.trials or (task.noise.grid_size if settings.method == 'grid' else TRIALS)
@@ -203,12 +202,6 @@ def tune(
     tuned = replace(tuned, scores=_scores(task, chosen, cases, others))
     write_configuration(output, tuned.file())
     return tuned
-
-
-def _cases(sources: Sequence[Path], config: Config) -> tuple[list[Case], tuple[str, ...]]:
-    recordings = [(str(source), read(source)) for source in sources]
-    cases = [case_of(recording, config, source) for source, recording in recordings]
-    return cases, tuple(recording_line(s, recording.markers) for s, recording in recordings)
 
 
 def _scores(

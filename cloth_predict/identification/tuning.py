@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import inf, isfinite, nan
 
 import numpy as np
 
-from cloth_predict.config import Config, flatten
+from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictError
 from cloth_predict.evaluation.cases import Case
 from cloth_predict.identification.likelihood import measurements
@@ -20,14 +20,12 @@ from cloth_predict.identification.objectives import (
 )
 from cloth_predict.identification.optuna_study import OptunaProposals
 from cloth_predict.identification.proposals import Proposals, Sweep, Values
-from cloth_predict.identification.provenance import content_hash
+from cloth_predict.identification.provenance import content_hash, kept
 from cloth_predict.identification.workers import workers
 
 METHODS = ('grid', 'likelihood', 'horizon')
 TRIALS = 60
 """Of the two methods that could go on for ever."""
-APART = ('replay', 'projector', 'live_check', 'baseline', 'horizon', 'horizons', 'horizon_mode')
-"""What of a configuration has no say in how well its noise serves."""
 WORSE = 1.01
 """Factor of the error up to which a common scale of the noise is taken: where limits and gates cut
 in, the scale does change predictions."""
@@ -78,18 +76,13 @@ class Task:
     @property
     def facts(self) -> dict[str, str]:
         """What a study's results depend on, but for the values that are searched."""
-        values = flatten(asdict(self.config))
         horizon = '' if self.method == 'likelihood' else f' {self.horizon:g} s ahead'
         recordings = sorted(content_hash(case.markers) for case in self.cases)
         return {
             'objective': f'{self.method}{horizon}',
             'recordings': ', '.join(recordings),
             'searched': ', '.join(self.noise.ranges),
-            **{
-                name: str(value)
-                for name, value in values.items()
-                if name.split('.')[0] not in APART and name not in self.noise.ranges
-            },
+            **kept(self.config, self.noise.ranges),
         }
 
 
