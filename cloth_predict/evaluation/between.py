@@ -11,6 +11,8 @@ from cloth_predict.evaluation.beam import TrueSurface
 from cloth_predict.evaluation.projection_methods import Shown
 from cloth_predict.projection.pinhole import Pinhole
 from cloth_predict.projection.scan import Scan
+from cloth_predict.projection.texture import grid_texture
+from cloth_predict.projection.visibility import barycentric
 from cloth_predict.surface.topology import grid_triangles
 from cloth_predict.types import FloatArray, IntArray
 
@@ -54,19 +56,14 @@ def _of_frame(
     lit = mesh.drawn(begin, pinhole, scan, 0)
     assert mesh.grid is not None
     actual = mesh.mesh.at(begin + lit.dt).reshape(len(lit.dt), *mesh.grid, 3)
-    pixels, triangles, texture = pinhole.project(lit.position), grid_triangles(*shape), even(shape)
+    pixels, triangles = pinhole.project(lit.position), grid_triangles(*shape)
+    texture = grid_texture(*shape)
     errors = []
     for meant, drawn in zip(shown.position[:, 0], shown.pixels[:, 0], strict=True):
         there = texture_at(pixels, drawn, pinhole.depth(meant), triangles, texture)
         error = np.linalg.norm(_at_texture(actual, there) - lit.position, axis=1)
         errors.append(np.where(lit.visible, error, np.nan))
     return np.array(errors)
-
-
-def even(shape: tuple[int, int]) -> FloatArray:
-    """Texture s, t of the nodes of a grid, shape (nodes, 2)."""
-    t, s = (np.linspace(0.0, 1.0, count) for count in shape)
-    return np.stack(np.meshgrid(s, t), axis=-1).reshape(-1, 2)
 
 
 def texture_at(
@@ -80,13 +77,8 @@ def texture_at(
 
     vertices: pixels of the vertices, shape (nodes, 2), depth [m] and texture as theirs.
     """
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    area = _cross(b - a, c - a)
-    to = pixels[:, None] - a
-    with np.errstate(divide='ignore', invalid='ignore'):
-        v, w = _cross(to, c - a) / area, _cross(b - a, to) / area
-        share = np.stack([1 - v - w, v, w], axis=-1)
-        inside = np.asarray((share >= -EDGE).all(axis=-1))
+    share = barycentric(vertices[triangles], pixels[:, None])
+    inside = np.asarray((share >= -EDGE).all(axis=-1))
     far = np.where(inside, np.einsum('ptk,tk->pt', share, depth[triangles]), np.inf)
     first, point = far.argmin(axis=1), np.arange(len(pixels))
     value = np.einsum('pk,pkc->pc', share[point, first], texture[triangles[first]])
@@ -108,7 +100,3 @@ def _at_texture(grid: FloatArray, texture: FloatArray) -> FloatArray:
             weight = np.abs(1 - down - part[:, 0]) * np.abs(1 - across - part[:, 1])
             found += weight[:, None] * grid[point, low[:, 0] + down, low[:, 1] + across]
     return np.where(np.isfinite(texture), 1.0, np.nan)[:, :1] * found
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -14,7 +14,6 @@ from scipy.ndimage import map_coordinates
 
 from cloth_predict.evaluation.projection import METHODS, Compensation
 from cloth_predict.projection.motion import Motion
-from cloth_predict.projection.scanout import KeyRows
 from cloth_predict.projection.warp import Warper
 from cloth_predict.projection.warp_map import warp_map
 from cloth_predict.types import FloatArray, IntArray
@@ -119,16 +118,13 @@ def framebuffer(found: Compensation, frame: int, method: str, warper: Warper) ->
     assert known.surface is not None
     if method == 'full':
         motion = Motion.of(found.config.projector.motion, known.surface, known.end)
-        keys = warper.warp(motion).keys[0]
     else:
-        position = found.shown(frame).position[METHODS.index(method), 0]
-        pixels = found.pinhole.project(position)
-        keys = KeyRows(np.zeros(1, np.int64), np.zeros(1), pixels[None], position[None])
-    order = np.argsort(keys.lines)
+        motion = Motion.still(found.shown(frame).position[METHODS.index(method), 0])
+    keys = warper.warp(motion).keys[0]
     return warp_map(
-        keys.pixels[order],
-        found.pinhole.depth(keys.position[order]),
-        keys.lines[order],
+        keys.pixels,
+        found.pinhole.depth(keys.position),
+        keys.lines,
         warper.texture,
         warper.triangles,
         (scan.width, scan.height),

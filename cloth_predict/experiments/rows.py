@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
-from math import isfinite, nan
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
-
-from cloth_predict.types import FloatArray
 
 Progress = Callable[[float], None]
 """Called with the share of an experiment that was done since the last call."""
@@ -90,12 +87,6 @@ class Experiment:
 def figures(chapter: int, first: int, last: int) -> tuple[str, ...]:
     """Numbers of the figures of a chapter from the first to the last."""
     return tuple(f'{chapter}.{number}' for number in range(first, last + 1))
-
-
-def last_finite(values: FloatArray) -> float:
-    """Last of the values that is finite; NaN of none."""
-    known = values[np.isfinite(values)]
-    return float(known[-1]) if len(known) else nan
 
 
 def short(value: float, unit: str = '') -> str:

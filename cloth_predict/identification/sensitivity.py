@@ -19,16 +19,14 @@ from cloth_predict.models.implicit import LinearisedSurface
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.types import FloatArray
 
-KINDS = ('stiffness', 'damping', 'rest_length', 'compression', 'mass', 'load')
-"""By spring the first four, the others by node of the model."""
-
 
 @dataclass(frozen=True)
 class StepSlopes:
     """dR/dtheta of one step, each kind by its own springs or nodes only.
 
-    springs, by kind, shape (springs, 3): pulls first end minus, second end plus as the springs'
-    forces do; nodes, by kind, shape (nodes, 3).
+    springs, by kind (stiffness, damping, rest_length, compression), shape (springs, 3): pulls
+    first end minus, second end plus as the springs' forces do; nodes, by kind (mass, load), shape
+    (nodes, 3).
     """
 
     model: MassSpring

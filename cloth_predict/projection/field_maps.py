@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_predict.projection.scan import Scan
 from cloth_predict.projection.scanout import KeyRows
 from cloth_predict.projection.warp import Warper
 from cloth_predict.projection.warp_map import warp_map
@@ -33,15 +32,7 @@ def field_maps(warper: Warper, keys: tuple[KeyRows, ...]) -> list[tuple[float, I
             warper.triangles,
             size,
             columns=scan.columns,
-            drawn=lines_of(scan, field),
+            drawn=scan.lit_by(field),
             out=images[field % colours],
         )
     return list(zip(starts, images, strict=True))
-
-
-def lines_of(scan: Scan, field: int) -> slice:
-    """Lines of the frame that a field lights."""
-    if scan.mode != 'interlaced':
-        return slice(None)
-    forward = scan.direction in ('down', 'right')
-    return slice(field if forward else (scan.lines - 1 - field) % 2, None, 2)

@@ -95,11 +95,12 @@ class Scan:
         held = np.clip(self.along(pixels), self._first(field), self.lines - 1)
         return self.line_times(held, field)
 
-    def field_of(self, lines: IntArray) -> IntArray:
-        """Field that lights a line, counted as they are lit; -1 where each field lights it."""
-        if self.mode == 'interlaced':
-            return np.asarray(lines % 2)
-        return np.full_like(lines, 0 if self.fields == 1 else -1)
+    def lit_by(self, field: int) -> slice:
+        """Lines of the frame, rows or columns as they are counted there, that a field lights."""
+        if self.mode != 'interlaced':
+            return slice(None)
+        forward = self.direction in ('down', 'right')
+        return slice(field if forward else (self.lines - 1 - field) % 2, None, 2)
 
     def _first(self, field: int) -> int:
         return field if self.mode == 'interlaced' else 0

@@ -20,14 +20,18 @@ def texture_coordinates(
     where a node of it is not before the projector.
     """
     if model.topology == 'grid':
-        down, across = (_fractions(count) for count in model.shape)
-        found = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+        found = grid_texture(*model.shape)
     else:
         pixels = pinhole.project(position)
         if not np.isfinite(pixels).all():
             raise FrameError('the projector does not see the whole surface when it starts')
         found = (pixels - pixels.min(axis=0)) / np.maximum(np.ptp(pixels, axis=0), 1e-9)
     return np.column_stack([1 - found[:, 0], found[:, 1]]) if mirrored else found
+
+
+def grid_texture(rows: int, cols: int) -> FloatArray:
+    """Texture coordinates s, t of the nodes of a grid, shape (nodes, 2)."""
+    return np.stack(np.meshgrid(_fractions(cols), _fractions(rows)), axis=-1).reshape(-1, 2)
 
 
 def _fractions(count: int) -> FloatArray:

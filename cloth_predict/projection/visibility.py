@@ -30,8 +30,7 @@ class Flag(IntFlag):
 def orientation(pixels: FloatArray, triangles: IntArray) -> FloatArray:
     """Twice the signed area of triangles, shape (t,), of points in a plane, shape (nodes, 2)."""
     a, b, c = np.moveaxis(pixels[triangles], 1, 0)
-    ab, ac = b - a, c - a
-    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+    return _cross(b - a, c - a)
 
 
 def back_facing(pixels: FloatArray, triangles: IntArray, texture: FloatArray) -> BoolArray:
@@ -59,7 +58,7 @@ def occluded(pixels: FloatArray, depth: FloatArray, triangles: IntArray) -> Bool
     own = (triangles[triangle] == vertex[:, None]).any(axis=1)
     before = depth[triangles].min(axis=1)[triangle] < depth[vertex]
     triangle, vertex = triangle[before & ~own], vertex[before & ~own]
-    weight = _barycentric(corners[triangle], pixels[vertex])
+    weight = barycentric(corners[triangle], pixels[vertex])
     # 1 / depth is linear over a triangle's picture
     before = 1.0 / (weight / depth[triangles[triangle]]).sum(axis=1)
     hides = (weight > 0).all(axis=1) & (before < (1 - NEARER) * depth[vertex])
@@ -84,16 +83,16 @@ def _near(pixels: FloatArray, low: FloatArray, high: FloatArray) -> tuple[IntArr
     return box[inside], point[inside]
 
 
-def _barycentric(corners: FloatArray, points: FloatArray) -> FloatArray:
-    """Weights of the corners, shape (k, 3, 2), that give the points, shape (k, 2); (k, 3).
+def barycentric(corners: FloatArray, points: FloatArray) -> FloatArray:
+    """Weights of the corners, shape (..., 3, 2), that give the points, shape (..., 2); (..., 3).
 
-    NaN where the corners lie on a line.
+    Not finite where the corners lie on a line.
     """
-    a, b, c = np.moveaxis(corners - points[:, None], 1, 0)
-
-    def cross(p: FloatArray, q: FloatArray) -> FloatArray:
-        return np.asarray(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])
-
-    weight = np.stack([cross(b, c), cross(c, a), cross(a, b)], axis=1)
+    a, b, c = np.moveaxis(corners - points[..., None, :], -2, 0)
+    weight = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=-1)
     with np.errstate(divide='ignore', invalid='ignore'):
-        return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+        return np.asarray(weight / weight.sum(axis=-1, keepdims=True))
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
