@@ -12,23 +12,27 @@ from pathlib import Path
 
 from cloth_predict import __version__
 from cloth_predict import commands as run
-from cloth_predict.command_line import compress, identify, reproduce, stiffness, tune
+from cloth_predict.command_line import (
+    calibrate_projector,
+    compress,
+    identify,
+    project,
+    reproduce,
+    stiffness,
+    tune,
+)
 from cloth_predict.command_line.options import (
     Command,
     counted,
-    delay,
-    horizon,
     positive,
     progress_bar,
-    rate,
     whole,
 )
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
-from cloth_predict.evaluation import projection_report, report
+from cloth_predict.evaluation import report
 from cloth_predict.evaluation.degrade import Degradation
 from cloth_predict.filters.family import FILTERS
 from cloth_predict.performance import one_core
-from cloth_predict.projection import calibration_report
 from cloth_predict.share import find
 from cloth_predict.simulate import SCENARIOS
 
@@ -89,14 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate = command('evaluate', _evaluate, 'compare predictors on recordings')
     evaluate.add('bag', type=Path, nargs='+', help='recording; several are told apart and pooled')
     evaluate.config().json()
-    evaluate.add(
-        '--horizon',
-        type=horizon,
-        nargs='+',
-        default=[],
-        metavar='S',
-        help='how far ahead to predict, in seconds; default: the configured one',
-    )
+    evaluate.horizon(nargs='+', default=[])
     evaluate.add(
         '--filters',
         nargs='+',
@@ -112,26 +109,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     evaluate.add('-o', '--output', type=Path, help='folder for tables, figures and configuration')
     evaluate.degradation()
-    project = command(
-        'project', _project, 'light a recording and tell where the light lands on the surface'
-    )
-    project.add('bag', type=Path, help='recording')
-    project.config().json()
-    project.add(
-        '--delay',
-        type=delay,
-        default=0.05,
-        metavar='S',
-        help='from the capture of the markers to the start of the frame; default 0.05',
-    )
-    project.add('--fps', type=rate, metavar='HZ', help='frames per second; default: projector.fps')
-    project.add('-o', '--output', type=Path, help='folder for table, figures and configuration')
-    calibrate = command(
-        'calibrate-projector',
-        _calibrate_projector,
-        'fit a projector to pairs of points and pixels',
-    )
-    calibrate.projector().json()
+    project.add(command)
+    calibrate_projector.add(command)
     identify.add(command)
     tune.add(command)
     stiffness.add(command)
@@ -181,38 +160,6 @@ def _evaluate(options: argparse.Namespace) -> None:
     with progress_bar('evaluate', 'frame')(0) as bar:
         found = run.evaluate(options.bag, options.config, ladder, options.output, counted(bar))
     print(json.dumps(report.summaries(found)) if options.json else report.text(found))
-
-
-def _calibrate_projector(options: argparse.Namespace) -> None:
-    calibration, lines = run.calibrate_projector(
-        options.pairs,
-        options.output,
-        (options.width, options.height),
-        options.throw,
-        options.distortion,
-        options.skew,
-    )
-    if options.json:
-        print(json.dumps(calibration_report.summary(calibration, lines)))
-        return
-    print(calibration_report.text(calibration, lines))
-    print(f'{options.output}: for projector.calibration, with projector.throw: {options.throw}')
-
-
-def _project(options: argparse.Namespace) -> None:
-    with progress_bar('project', 'frame')(0) as bar:
-        found = run.project(
-            options.bag,
-            options.config,
-            options.delay,
-            options.fps,
-            options.output,
-            counted(bar),
-        )
-    if options.json:
-        print(json.dumps(projection_report.summary(found)))
-    else:
-        print(projection_report.text(found))
 
 
 def _demo(options: argparse.Namespace) -> None:

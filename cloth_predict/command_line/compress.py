@@ -13,7 +13,6 @@ from cloth_predict.command_line.options import (
     count,
     positive,
     progress_bar,
-    whole,
 )
 from cloth_predict.config import load
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
@@ -85,8 +84,7 @@ def add(command: Add) -> None:
         metavar='S',
         help=f'length of each scenario in seconds; default {DURATION:g}',
     )
-    parser.add('--jobs', type=count, default=1, metavar='N', help='processes; default 1')
-    parser.add('--seed', type=whole, default=0, help='of the search; default 0')
+    parser.searches()
     parser.add(
         '--report',
         type=Path,

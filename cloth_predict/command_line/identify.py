@@ -11,10 +11,8 @@ from cloth_predict.command_line.options import (
     Add,
     best_so_far,
     count,
-    horizon,
     positive,
     progress_bar,
-    whole,
 )
 from cloth_predict.config import load
 from cloth_predict.errors import ClothPredictWarning
@@ -33,14 +31,7 @@ def add(command: Add) -> None:
     parser.add(
         '-o', '--output', type=Path, required=True, help='parameter file to write, or a folder'
     )
-    parser.add(
-        '--held-out',
-        type=Path,
-        nargs='+',
-        default=[],
-        metavar='BAG',
-        help='recordings on which the result is judged, and nothing is found',
-    )
+    parser.held_out()
     parser.add(
         '--objective',
         choices=sorted(USUAL),
@@ -67,12 +58,7 @@ def add(command: Add) -> None:
         help='most evaluations of the cost; default: '
         + ', '.join(f'{name} {most}' for name, most in BUDGETS.items()),
     )
-    parser.add(
-        '--horizon',
-        type=horizon,
-        metavar='S',
-        help='how far ahead to predict, in seconds; default: the configured one',
-    )
+    parser.horizon()
     parser.add(
         '--alpha',
         type=float,
@@ -87,8 +73,7 @@ def add(command: Add) -> None:
         metavar='S',
         help=f'trajectory: how long the model is left to itself; default {WINDOW:g}',
     )
-    parser.add('--jobs', type=count, default=1, metavar='N', help='processes; default 1')
-    parser.add('--seed', type=whole, default=0, help='of the search; default 0')
+    parser.searches()
     parser.add(
         '--resume', type=Path, metavar='FILE', help='study to go on with (NAME.study.jsonl)'
     )

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
 from cloth_predict.config import Config, ProjectorConfig
-from cloth_predict.projection.calibration import COUNTS
-from cloth_predict.projection.pinhole import MIRRORS
 
 Add = Callable[[str, Callable[[argparse.Namespace], None], str], 'Command']
 """Adds a command: its name, what it does, and the same in words."""
@@ -69,28 +68,32 @@ class Command:
         self.add('--seed', type=whole, default=0, help='of what is hidden, swapped or shuffled')
         return self
 
-    def projector(self) -> Command:
-        """Add what a calibration takes."""
-        self.add('pairs', type=Path, help='CSV with x, y, z (m, mocap frame) and u, v (pixels)')
-        for side in ('width', 'height'):
-            text = f'{side} of the frame in pixels'
-            self.add(f'--{side}', type=pixels, required=True, metavar='PX', help=text)
+    def searches(self) -> Command:
+        """Add how a search runs."""
+        self.add('--jobs', type=count, default=1, metavar='N', help='processes; default 1')
+        self.add('--seed', type=whole, default=0, help='of the search; default 0')
+        return self
+
+    def held_out(self) -> Command:
+        """Add recordings to judge a result on."""
         self.add(
-            '-o', '--output', type=Path, required=True, help='file to write, of OpenCV (YAML)'
+            '--held-out',
+            type=Path,
+            nargs='+',
+            default=[],
+            metavar='BAG',
+            help='recordings on which the result is judged, and nothing is found',
         )
+        return self
+
+    def horizon(self, **several: Any) -> Command:
+        """Add how far ahead to predict; several: of `add`, where there may be more than one."""
         self.add(
-            '--distortion',
-            type=int,
-            default=0,
-            choices=COUNTS,
-            help='how many of k1, k2, p1, p2, k3 to fit; default: no lens',
-        )
-        self.add('--skew', action='store_true', help='fit the skew, too')
-        self.add(
-            '--throw',
-            default='front',
-            choices=MIRRORS,
-            help='projector.throw with which the pairs were taken; default: front',
+            '--horizon',
+            type=horizon,
+            metavar='S',
+            help='how far ahead to predict, in seconds; default: the configured one',
+            **several,
         )
         return self
 
@@ -135,10 +138,7 @@ def positive(text: str) -> float:
 
 def horizon(text: str) -> float:
     """Return a time that may be predicted ahead [s]."""
-    value, most = positive(text), Config.__dataclass_fields__['horizon'].metadata['high']
-    if value > most:
-        raise argparse.ArgumentTypeError(f'{text} s is more than {most} s')
-    return value
+    return _allowed(text, 's', Config, 'horizon')
 
 
 def delay(text: str) -> float:
@@ -151,9 +151,15 @@ def delay(text: str) -> float:
 
 def rate(text: str) -> float:
     """Return frames per second [Hz]."""
-    value, most = positive(text), ProjectorConfig.__dataclass_fields__['fps'].metadata['high']
+    return _allowed(text, 'Hz', ProjectorConfig, 'fps')
+
+
+def _allowed(text: str, unit: str, group: type, parameter: str) -> float:
+    """Return a positive number up to the most that a parameter of the configuration may be."""
+    value = positive(text)
+    most = next(field.metadata['high'] for field in fields(group) if field.name == parameter)
     if value > most:
-        raise argparse.ArgumentTypeError(f'{text} Hz is more than {most:g} Hz')
+        raise argparse.ArgumentTypeError(f'{text} {unit} is more than {most:g} {unit}')
     return value
 
 
@@ -170,14 +176,6 @@ def count(text: str) -> int:
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f'{text} is less than 1')
-    return value
-
-
-def pixels(text: str) -> int:
-    """Return a number of pixels."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f'{text} is not a number of pixels')
     return value
 
 

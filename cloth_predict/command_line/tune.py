@@ -11,9 +11,7 @@ from cloth_predict.command_line.options import (
     Add,
     best_so_far,
     count,
-    horizon,
     progress_bar,
-    whole,
 )
 from cloth_predict.errors import ClothPredictWarning
 from cloth_predict.identification.tuned import Settings, tune
@@ -33,20 +31,8 @@ def add(command: Add) -> None:
         help='make errors ahead small (default) or the measurements most likely, by Optuna; or '
         'the former by a sweep over decades, one parameter after the other (grid)',
     )
-    parser.add(
-        '--held-out',
-        type=Path,
-        nargs='+',
-        default=[],
-        metavar='BAG',
-        help='recordings on which the result is judged, and nothing is found',
-    )
-    parser.add(
-        '--horizon',
-        type=horizon,
-        metavar='S',
-        help='how far ahead to predict, in seconds; default: the configured one',
-    )
+    parser.held_out()
+    parser.horizon()
     parser.add(
         '--trials',
         type=count,
@@ -59,8 +45,7 @@ def add(command: Add) -> None:
         help='of Optuna, or a file: keeps the study, to go on with or to share between machines',
     )
     parser.add('--study', default='tune', metavar='NAME', help='name of the study in the storage')
-    parser.add('--jobs', type=count, default=1, metavar='N', help='processes; default 1')
-    parser.add('--seed', type=whole, default=0, help='of the search; default 0')
+    parser.searches()
 
 
 def _tune(options: argparse.Namespace) -> None:
