@@ -44,3 +44,13 @@ def parameters(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def graph() -> Iterator[Any]:
+    """Give a live graph of its own to a test."""
+    from live_graph import Graph  # ROS takes a second to import, which few tests need
+
+    found = Graph()
+    yield found
+    found.close()

@@ -71,13 +71,6 @@ class Live:
         return new()[0]
 
 
-@pytest.fixture
-def graph():
-    found = Graph()
-    yield found
-    found.close()
-
-
 @pytest.fixture(scope='module')
 def towel():
     """1.6 s of the shipped recording; a bag has float32 as a message has, so nothing is lost."""

@@ -50,13 +50,6 @@ from cloth_predict.tracker import Tracker
 from cloth_predict.types import MarkerSequence
 
 
-@pytest.fixture
-def graph():
-    found = Graph()
-    yield found
-    found.close()
-
-
 @pytest.fixture(scope='module')
 def towel():
     """The first 0.6 s of the shipped recording."""

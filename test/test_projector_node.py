@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from live_graph import BAG, DEADLINE, RELIABLE, TOWEL, Graph, flat, frame, stamps, values
+from live_graph import BAG, DEADLINE, RELIABLE, TOWEL, flat, frame, stamps, values
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
@@ -33,13 +33,6 @@ VERTICES, SCANLINES = 'projector/vertices', 'projector/scanlines'
 NEXT, PREDICTION = 'projector/next_frame', 'cloth/prediction'
 ERROR, WARN = DiagnosticStatus.ERROR, DiagnosticStatus.WARN
 NODE = '/projector_node'
-
-
-@pytest.fixture
-def graph():
-    found = Graph()
-    yield found
-    found.close()
 
 
 @pytest.fixture(scope='module')
