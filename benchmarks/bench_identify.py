@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from cloth_predict.evaluation.cases import labelled_case
-from cloth_predict.identification.parallel import Called, Parallel, Summed
-from cloth_predict.identification.parameters import Space
-from cloth_predict.identification.result import Result
-from cloth_predict.identification.stretches import trajectories
-from cloth_predict.identification.task import OPTIMISERS
+from cloth_predict.identification.objectives.parallel import Called, Parallel, Summed
+from cloth_predict.identification.objectives.parameters import Space
+from cloth_predict.identification.objectives.stretches import trajectories
+from cloth_predict.identification.optimisers.family import OPTIMISERS
+from cloth_predict.identification.optimisers.result import Result
 from cloth_predict.performance import one_core
 
 sys.path.insert(0, str(Path(__file__).parents[1] / 'test'))

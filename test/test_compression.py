@@ -14,12 +14,18 @@ from cloth_predict.evaluation.cases import case_of
 from cloth_predict.evaluation.predictors import Tracked
 from cloth_predict.evaluation.runs import follow as predicted
 from cloth_predict.formats.bag import Recording
-from cloth_predict.identification import modal
-from cloth_predict.identification.compression import bounds, compress, follow, weighed
-from cloth_predict.identification.compression_report import file
-from cloth_predict.identification.compression_task import THESIS, Task
-from cloth_predict.identification.falling import HANGING, RELEASES, motion, released, sheet
-from cloth_predict.identification.result import DivergedError
+from cloth_predict.identification.compression import modal
+from cloth_predict.identification.compression.falling import (
+    HANGING,
+    RELEASES,
+    motion,
+    released,
+    sheet,
+)
+from cloth_predict.identification.compression.report import file
+from cloth_predict.identification.compression.search import bounds, compress, follow, weighed
+from cloth_predict.identification.compression.task import THESIS, Task
+from cloth_predict.identification.optimisers.result import DivergedError
 from cloth_predict.types import MarkerSequence
 
 SMALL = Task((9, 9), (3, 3), ('falling',), ('lowered', 'raised'), duration=2.0)

@@ -16,15 +16,15 @@ from cloth_predict.config import build, dump
 from cloth_predict.config.build import parse_yaml
 from cloth_predict.errors import ConfigError
 from cloth_predict.evaluation.cases import labelled_case
-from cloth_predict.identification.annealing import anneal
-from cloth_predict.identification.cma_es import evolve
-from cloth_predict.identification.determined import determined
-from cloth_predict.identification.gradient import descend
-from cloth_predict.identification.parallel import Called, Parallel, Summed
-from cloth_predict.identification.parameters import Space, spelt_out
-from cloth_predict.identification.result import DivergedError, Plain
-from cloth_predict.identification.stretches import trajectories
-from cloth_predict.identification.trajectory import Scenario, Trajectory, simulate
+from cloth_predict.identification.objectives.determined import determined
+from cloth_predict.identification.objectives.parallel import Called, Parallel, Summed
+from cloth_predict.identification.objectives.parameters import Space, spelt_out
+from cloth_predict.identification.objectives.stretches import trajectories
+from cloth_predict.identification.objectives.trajectory import Scenario, Trajectory, simulate
+from cloth_predict.identification.optimisers.annealing import anneal
+from cloth_predict.identification.optimisers.cma_es import evolve
+from cloth_predict.identification.optimisers.gradient import descend
+from cloth_predict.identification.optimisers.result import DivergedError, Plain
 from cloth_predict.surface.assembly import build_mass_spring, mesh_rest_shape, topology_of
 
 SHARED = (

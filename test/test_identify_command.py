@@ -24,12 +24,12 @@ from cloth_predict.evaluation.compare import compare
 from cloth_predict.evaluation.predictors import methods
 from cloth_predict.formats.bag import Recording, write_recording
 from cloth_predict.formats.recording import read
-from cloth_predict.identification.horizon import FARTHEST, Horizon
-from cloth_predict.identification.parallel import Called, Parallel, Summed
-from cloth_predict.identification.parameters import Space
-from cloth_predict.identification.result import Plain
-from cloth_predict.identification.stretches import trajectories
-from cloth_predict.identification.study import Study
+from cloth_predict.identification.objectives.horizon import FARTHEST, Horizon
+from cloth_predict.identification.objectives.parallel import Called, Parallel, Summed
+from cloth_predict.identification.objectives.parameters import Space
+from cloth_predict.identification.objectives.stretches import trajectories
+from cloth_predict.identification.optimisers.result import Plain
+from cloth_predict.identification.optimisers.study import Study
 from cloth_predict.identification.task import Task, usual
 from cloth_predict.identification.workers import workers
 

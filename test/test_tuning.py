@@ -17,18 +17,18 @@ from cloth_predict.evaluation.cases import case_of, frames_of, labelled_case
 from cloth_predict.evaluation.compare import evaluate
 from cloth_predict.formats.bag import Recording, write_recording
 from cloth_predict.formats.recording import read
-from cloth_predict.identification.likelihood import fitness, log_likelihood, measurements
-from cloth_predict.identification.noise import MEASUREMENT, PROCESS, Noise, Range, scaled
-from cloth_predict.identification.objectives import (
+from cloth_predict.identification.provenance import content_hash
+from cloth_predict.identification.tuning.costs import (
     horizon_error,
     normalised_error,
     prediction_errors,
 )
-from cloth_predict.identification.optuna_study import OptunaProposals
-from cloth_predict.identification.proposals import Sweep
-from cloth_predict.identification.provenance import content_hash
-from cloth_predict.identification.tuned import Settings, tune
-from cloth_predict.identification.tuning import prepared, proposals_for, search
+from cloth_predict.identification.tuning.likelihood import fitness, log_likelihood, measurements
+from cloth_predict.identification.tuning.noise import MEASUREMENT, PROCESS, Noise, Range, scaled
+from cloth_predict.identification.tuning.optuna_study import OptunaProposals
+from cloth_predict.identification.tuning.proposals import Sweep
+from cloth_predict.identification.tuning.search import prepared, proposals_for, search
+from cloth_predict.identification.tuning.tuned import Settings, tune
 from cloth_predict.identification.workers import workers
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import Innovation, MarkerSequence

@@ -16,13 +16,14 @@ from cloth_predict.command_line.options import (
 )
 from cloth_predict.config import load
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
-from cloth_predict.identification import compression_report
-from cloth_predict.identification.compression import BUDGET, Compression, compress
-from cloth_predict.identification.compression_task import THESIS, Grid, Task
-from cloth_predict.identification.falling import DURATION, RELEASES
-from cloth_predict.identification.modal import Rival, rivals
+from cloth_predict.identification.compression import report
+from cloth_predict.identification.compression.falling import DURATION, RELEASES
+from cloth_predict.identification.compression.modal import Rival, rivals
+from cloth_predict.identification.compression.search import BUDGET, Compression, compress
+from cloth_predict.identification.compression.task import THESIS, Grid, Task
+from cloth_predict.identification.optimisers.family import OPTIMISERS
 from cloth_predict.identification.provenance import write_configuration
-from cloth_predict.identification.task import ALPHA, OPTIMISERS
+from cloth_predict.identification.task import ALPHA
 
 
 def add(command: Add) -> None:
@@ -124,16 +125,16 @@ def _compress(options: argparse.Namespace) -> None:
             options.jobs,
             lambda evaluations, best: show(evaluations, options.budget, best),
         )
-    write_configuration(options.output, compression_report.file(found))
+    write_configuration(options.output, report.file(found))
     beside: list[Rival] = []
     if options.report is not None and not found.result.interrupted:
         beside = _beside(found)
     if options.report is not None:
-        compression_report.write(found, beside, options.report)
+        report.write(found, beside, options.report)
     if options.json:
-        print(json.dumps(compression_report.summary(found, beside)))
+        print(json.dumps(report.summary(found, beside)))
     else:
-        print(f'{compression_report.text(found, beside)}\n{options.output}: written')
+        print(f'{report.text(found, beside)}\n{options.output}: written')
     if found.result.interrupted:
         raise KeyboardInterrupt
 

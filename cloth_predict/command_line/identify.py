@@ -18,7 +18,8 @@ from cloth_predict.config import load
 from cloth_predict.errors import ClothPredictWarning
 from cloth_predict.identification.identified import Identified, Outputs, Settings
 from cloth_predict.identification.identify import identify
-from cloth_predict.identification.task import ALPHA, BUDGETS, OPTIMISERS, USUAL, WINDOW, Task
+from cloth_predict.identification.optimisers.family import BUDGETS, OPTIMISERS
+from cloth_predict.identification.task import ALPHA, USUAL, WINDOW, Task
 
 
 def add(command: Add) -> None:

@@ -14,8 +14,8 @@ from cloth_predict.command_line.options import (
     progress_bar,
 )
 from cloth_predict.errors import ClothPredictWarning
-from cloth_predict.identification.tuned import Settings, tune
-from cloth_predict.identification.tuning import METHODS, TRIALS
+from cloth_predict.identification.tuning.search import METHODS, TRIALS
+from cloth_predict.identification.tuning.tuned import Settings, tune
 
 
 def add(command: Add) -> None:

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 
 from cloth_predict.experiments.plots import over_time, panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
-from cloth_predict.identification.compression import Compression, Followed, compress
-from cloth_predict.identification.compression_task import Task
-from cloth_predict.identification.falling import RELEASES, STEP
+from cloth_predict.identification.compression.falling import RELEASES, STEP
+from cloth_predict.identification.compression.search import Compression, Followed, compress
+from cloth_predict.identification.compression.task import Task
 from cloth_predict.types import FloatArray
 
 AT_FIRST = (

@@ -15,11 +15,11 @@ from cloth_predict.experiments.recursion import EulerStep, by_the_letter, tracke
 from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
 from cloth_predict.experiments.shaken import at_rest
 from cloth_predict.experiments.towel import ALPHA, BETA, arbitrary, fan, frames_of, words
-from cloth_predict.identification.annealing import anneal
-from cloth_predict.identification.gradient import descend
-from cloth_predict.identification.parameters import Space
-from cloth_predict.identification.result import Callback, Optimiser, Plain, Result
-from cloth_predict.identification.trajectory import Scenario, Trajectory
+from cloth_predict.identification.objectives.parameters import Space
+from cloth_predict.identification.objectives.trajectory import Scenario, Trajectory
+from cloth_predict.identification.optimisers.annealing import anneal
+from cloth_predict.identification.optimisers.gradient import descend
+from cloth_predict.identification.optimisers.result import Callback, Optimiser, Plain, Result
 from cloth_predict.integrators import RK4, RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.simulate import marker_grid, towel

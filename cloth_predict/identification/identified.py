@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.identification.determined import LOOSE, Determined
+from cloth_predict.identification.objectives.determined import LOOSE, Determined
+from cloth_predict.identification.optimisers.result import Result
 from cloth_predict.identification.provenance import HELD_OUT, with_provenance
-from cloth_predict.identification.result import Result
 from cloth_predict.identification.task import Task
 
 NEAR = 0.02

@@ -12,23 +12,24 @@ import numpy as np
 from cloth_predict.evaluation.cases import Case
 from cloth_predict.formats.files import make_folder
 from cloth_predict.identification.cost_curve import draw
-from cloth_predict.identification.determined import determined
 from cloth_predict.identification.identified import (
     Identified,
     Outputs,
     Scores,
     Settings,
 )
-from cloth_predict.identification.parallel import Called, Objective, Parallel
+from cloth_predict.identification.objectives.determined import determined
+from cloth_predict.identification.objectives.parallel import Called, Objective, Parallel
+from cloth_predict.identification.optimisers.family import BUDGETS, OPTIMISERS
+from cloth_predict.identification.optimisers.result import Result
+from cloth_predict.identification.optimisers.study import Study
 from cloth_predict.identification.provenance import (
     HELD_OUT,
     TRAINED,
     read_cases,
     write_configuration,
 )
-from cloth_predict.identification.result import Result
-from cloth_predict.identification.study import Study
-from cloth_predict.identification.task import BUDGETS, OPTIMISERS, USUAL, Task
+from cloth_predict.identification.task import USUAL, Task
 from cloth_predict.identification.workers import workers
 from cloth_predict.types import FloatArray
 

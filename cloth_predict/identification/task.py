@@ -7,21 +7,14 @@ from dataclasses import dataclass
 
 from cloth_predict.config import Config
 from cloth_predict.evaluation.cases import Case
-from cloth_predict.identification.annealing import anneal
-from cloth_predict.identification.cma_es import evolve
-from cloth_predict.identification.gradient import descend
-from cloth_predict.identification.horizon import Horizon
-from cloth_predict.identification.parallel import Objective, Summed
-from cloth_predict.identification.parameters import OF_MODEL, Space
+from cloth_predict.identification.objectives.horizon import Horizon
+from cloth_predict.identification.objectives.parallel import Objective, Summed
+from cloth_predict.identification.objectives.parameters import OF_MODEL, Space
+from cloth_predict.identification.objectives.stretches import trajectories
 from cloth_predict.identification.provenance import content_hash, kept
-from cloth_predict.identification.result import Optimiser
-from cloth_predict.identification.stretches import trajectories
 
-OPTIMISERS: dict[str, Optimiser] = {'annealing': anneal, 'cma': evolve, 'gradient': descend}
 USUAL = {'trajectory': 'gradient', 'horizon': 'cma'}
 """Optimiser of each objective, where none is chosen."""
-BUDGETS = {'annealing': 5000, 'cma': 500, 'gradient': 1000}
-"""Evaluations of each optimiser, where none are given."""
 BETWEEN = 0.05
 """Seconds from one prediction to the next in the cost of the horizon objective."""
 WINDOW = 4.0

@@ -11,16 +11,16 @@ import numpy as np
 from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictError
 from cloth_predict.evaluation.cases import Case
-from cloth_predict.identification.likelihood import measurements
-from cloth_predict.identification.noise import MEASUREMENT, Noise, scaled
-from cloth_predict.identification.objectives import (
+from cloth_predict.identification.provenance import content_hash, kept
+from cloth_predict.identification.tuning.costs import (
     horizon_error,
     normalised_error,
     total_fitness,
 )
-from cloth_predict.identification.optuna_study import OptunaProposals
-from cloth_predict.identification.proposals import Proposals, Sweep, Values
-from cloth_predict.identification.provenance import content_hash, kept
+from cloth_predict.identification.tuning.likelihood import measurements
+from cloth_predict.identification.tuning.noise import MEASUREMENT, Noise, scaled
+from cloth_predict.identification.tuning.optuna_study import OptunaProposals
+from cloth_predict.identification.tuning.proposals import Proposals, Sweep, Values
 from cloth_predict.identification.workers import workers
 
 METHODS = ('grid', 'likelihood', 'horizon')

@@ -9,11 +9,11 @@ from math import sqrt
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.identification.compression_task import Task
-from cloth_predict.identification.parallel import Called, Parallel
-from cloth_predict.identification.parameters import Space
-from cloth_predict.identification.result import Bounds, Callback, Result
-from cloth_predict.identification.task import OPTIMISERS
+from cloth_predict.identification.compression.task import Task
+from cloth_predict.identification.objectives.parallel import Called, Parallel
+from cloth_predict.identification.objectives.parameters import Space
+from cloth_predict.identification.optimisers.family import OPTIMISERS
+from cloth_predict.identification.optimisers.result import Bounds, Callback, Result
 from cloth_predict.identification.workers import workers
 from cloth_predict.types import FloatArray
 

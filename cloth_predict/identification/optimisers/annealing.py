@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_predict.identification.result import Bounds, Callback, Costs, Result, Search
+from cloth_predict.identification.optimisers.result import Bounds, Callback, Costs, Result, Search
 from cloth_predict.types import FloatArray
 
 WIDTH = 0.1

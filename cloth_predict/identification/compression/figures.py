@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from cloth_predict.identification.compression import Compression
+from cloth_predict.identification.compression.modal import Rival
+from cloth_predict.identification.compression.search import Compression
 from cloth_predict.identification.cost_curve import draw
-from cloth_predict.identification.modal import Rival
 
 mpl.use('Agg')
 

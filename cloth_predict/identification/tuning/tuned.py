@@ -11,7 +11,6 @@ from typing import Any
 from cloth_predict import config as configuration
 from cloth_predict.config import Config, flatten
 from cloth_predict.evaluation.cases import Case
-from cloth_predict.identification.objectives import horizon_error
 from cloth_predict.identification.provenance import (
     HELD_OUT,
     TRAINED,
@@ -19,7 +18,8 @@ from cloth_predict.identification.provenance import (
     with_provenance,
     write_configuration,
 )
-from cloth_predict.identification.tuning import (
+from cloth_predict.identification.tuning.costs import horizon_error
+from cloth_predict.identification.tuning.search import (
     TRIALS,
     Progress,
     Search,

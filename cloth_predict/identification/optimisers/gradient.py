@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize
 
-from cloth_predict.identification.result import Bounds, Callback, Costs, Result, Search
+from cloth_predict.identification.optimisers.result import Bounds, Callback, Costs, Result, Search
 from cloth_predict.types import FloatArray
 
 FLAT = 1e-10

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.identification.parameters import Space
-from cloth_predict.identification.physics import Directions, gravity_factors
-from cloth_predict.identification.sensitivity import StepSlopes
+from cloth_predict.identification.objectives.parameters import Space
+from cloth_predict.identification.objectives.physics import Directions, gravity_factors
+from cloth_predict.identification.objectives.sensitivity import StepSlopes
 from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.models.implicit import LinearisedSurface
 from cloth_predict.models.mass_spring import MassSpring

@@ -9,8 +9,8 @@ import numpy as np
 from cloth_predict.config import Config
 from cloth_predict.errors import FormatError
 from cloth_predict.evaluation.cases import Case, frames_of
-from cloth_predict.identification.parameters import Space
-from cloth_predict.identification.trajectory import Scenario, Trajectory
+from cloth_predict.identification.objectives.parameters import Space
+from cloth_predict.identification.objectives.trajectory import Scenario, Trajectory
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.surface.assembly import build_mass_spring
 from cloth_predict.surface.layout import Layout

@@ -11,9 +11,15 @@ import numpy as np
 from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictError
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
-from cloth_predict.identification.compression import Compression
-from cloth_predict.identification.compression_task import Task
-from cloth_predict.identification.falling import HANGING, Motion, motion, released, sheet
+from cloth_predict.identification.compression.falling import (
+    HANGING,
+    Motion,
+    motion,
+    released,
+    sheet,
+)
+from cloth_predict.identification.compression.search import Compression
+from cloth_predict.identification.compression.task import Task
 from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.modes import linear_modes, motion_modes

@@ -9,8 +9,8 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from cloth_predict.errors import ClothPredictError
-from cloth_predict.identification.noise import Range
-from cloth_predict.identification.proposals import Best, Values
+from cloth_predict.identification.tuning.noise import Range
+from cloth_predict.identification.tuning.proposals import Best, Values
 
 if TYPE_CHECKING:
     from optuna import Study, Trial

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from cloth_predict.identification.parameters import Space
+from cloth_predict.identification.objectives.parameters import Space
 from cloth_predict.types import FloatArray, IntArray
 
 

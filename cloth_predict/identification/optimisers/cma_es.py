@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cloth_predict.errors import ClothPredictError
-from cloth_predict.identification.result import Bounds, Callback, Costs, Result, Search
+from cloth_predict.identification.optimisers.result import Bounds, Callback, Costs, Result, Search
 from cloth_predict.types import FloatArray
 
 WIDTH = 0.3

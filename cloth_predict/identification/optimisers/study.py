@@ -12,7 +12,7 @@ import numpy as np
 
 from cloth_predict.errors import FormatError
 from cloth_predict.formats.files import writing
-from cloth_predict.identification.result import Costs
+from cloth_predict.identification.optimisers.result import Costs
 from cloth_predict.types import FloatArray
 
 FORMAT = 'cloth_predict identify 1'

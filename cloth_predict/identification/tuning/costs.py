@@ -13,8 +13,8 @@ from cloth_predict.evaluation.cases import Case
 from cloth_predict.evaluation.judging import FEWEST
 from cloth_predict.evaluation.predictors import Hold, Tracked
 from cloth_predict.evaluation.runs import follow
-from cloth_predict.identification.horizon import asked_of
-from cloth_predict.identification.likelihood import Fitness, fitness
+from cloth_predict.identification.objectives.horizon import asked_of
+from cloth_predict.identification.tuning.likelihood import Fitness, fitness
 from cloth_predict.metrics import distances
 
 

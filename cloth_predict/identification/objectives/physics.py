@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cloth_predict.config import Config
 from cloth_predict.errors import ConfigError
-from cloth_predict.identification.parameters import Parameter, Space
+from cloth_predict.identification.objectives.parameters import Parameter, Space
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.surface.topology import Topology
 from cloth_predict.types import BoolArray, FloatArray

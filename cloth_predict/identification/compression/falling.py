@@ -9,7 +9,7 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.errors import ConfigError
-from cloth_predict.identification.trajectory import Scenario, simulate
+from cloth_predict.identification.objectives.trajectory import Scenario, simulate
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.surface.assembly import build_mass_spring, rest_shape
 from cloth_predict.types import FloatArray, IntArray, read_only

@@ -8,9 +8,15 @@ import numpy as np
 
 from cloth_predict.config import AnchorsConfig, Config, FilterConfig, ModelConfig
 from cloth_predict.errors import ConfigError
-from cloth_predict.identification.falling import DURATION, RELEASES, STEP, motion, sheet
-from cloth_predict.identification.parameters import Space
-from cloth_predict.identification.trajectory import Trajectory
+from cloth_predict.identification.compression.falling import (
+    DURATION,
+    RELEASES,
+    STEP,
+    motion,
+    sheet,
+)
+from cloth_predict.identification.objectives.parameters import Space
+from cloth_predict.identification.objectives.trajectory import Trajectory
 from cloth_predict.surface.assembly import topology_of
 from cloth_predict.types import IntArray
 

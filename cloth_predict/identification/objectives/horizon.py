@@ -12,7 +12,7 @@ from cloth_predict.errors import ClothPredictError, FormatError
 from cloth_predict.evaluation.cases import Case
 from cloth_predict.evaluation.judging import BLOCK, WARM_UP, asked_at
 from cloth_predict.evaluation.predictors import Hold, Predictor, Tracked
-from cloth_predict.identification.parameters import Space
+from cloth_predict.identification.objectives.parameters import Space
 from cloth_predict.surface.layout import free_markers
 from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.types import BoolArray, FloatArray, IntArray

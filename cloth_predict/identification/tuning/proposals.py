@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import inf, isfinite
 from typing import NamedTuple, Protocol
 
-from cloth_predict.identification.noise import Range
+from cloth_predict.identification.tuning.noise import Range
 
 Values = dict[str, float]
 

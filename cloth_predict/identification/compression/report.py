@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from cloth_predict.formats.files import writing
-from cloth_predict.identification import compression_figures as figures
-from cloth_predict.identification.compression import Compression
-from cloth_predict.identification.falling import RELEASES
-from cloth_predict.identification.modal import COMPRESSED, Rival, at_equal_cost
+from cloth_predict.identification.compression import figures
+from cloth_predict.identification.compression.falling import RELEASES
+from cloth_predict.identification.compression.modal import COMPRESSED, Rival, at_equal_cost
+from cloth_predict.identification.compression.search import Compression
 from cloth_predict.identification.provenance import with_provenance
 
 
