@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 
-from cloth_predict.evaluation.surface_distance import closest_weights, nearest_on_surface
+from cloth_predict.bodies.surface_distance import closest_weights, nearest_on_surface
 
 ROUNDING = 1e-12  # of lengths of about 1 m, in sums of some ten terms
 
