@@ -67,7 +67,7 @@ def rate_map(theta: FloatArray) -> FloatArray:
     That is so for a unit quaternion whose length stays.
     """
     s, (a, b, c) = theta[0], theta[1:]
-    return 2.0 * np.array([[-a, s, -c, b], [-b, c, s, -a], [-c, -b, a, s]])
+    return np.asarray(2.0 * np.array([[-a, s, -c, b], [-b, c, s, -a], [-c, -b, a, s]]))
 
 
 def from_matrix(rotation: FloatArray) -> FloatArray:

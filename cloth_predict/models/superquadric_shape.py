@@ -6,11 +6,13 @@ step).
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from cloth_predict.errors import ConfigError
+from cloth_predict.models.taylor import Taylor, cosine
 from cloth_predict.types import FloatArray
 
 PARAMETERS = ('a0', 'a1', 'a2', 'a3', 'e1', 'e2', 't1', 't2', 'b1', 'b2', 'b3')
@@ -23,7 +25,7 @@ HIGH = np.array([np.inf, 1.0, 1.0, 1.0, 2.0, 2.0, 1.0, 1.0, np.inf, 1.0, 1.0])
 ROUNDING = 1e-15
 """Sine or cosine that is 0 but for the rounding of its angle."""
 
-Taylor: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+E1, E2 = PARAMETERS.index('e1'), PARAMETERS.index('e2')
 
 
 def check_parameters(values: FloatArray) -> None:
@@ -42,32 +44,20 @@ def check_parameters(values: FloatArray) -> None:
 
 def positions(q_s: FloatArray, coordinates: FloatArray) -> FloatArray:
     """Points s [m] of the reference shape, (N, 3), at u, v [rad], (N, 2) (eq. 21 of 20, w = 1)."""
-    a0, a1, a2, a3, e1, e2, t1, t2, b1, b2, b3 = q_s
-    u, v = coordinates.T
-    (cos_u, _), (sin_u, _) = _powers(u, e1)
-    (cos_v, _), (sin_v, _) = _powers(v, e2)
-    bend = (sin_u + b2 / (a0 * a3)) * np.pi * b3
-    return np.stack(
-        [
-            (t1 * sin_u + 1.0) * a0 * a1 * cos_u * cos_v + b1 * np.cos(bend),
-            (t2 * sin_u + 1.0) * a0 * a2 * cos_u * sin_v,
-            a0 * a3 * sin_u,
-        ],
-        axis=1,
-    )
+    powers = [value for value, _ in _powers(q_s, coordinates)]
+    return np.stack(_deformed(q_s, powers, np.cos), axis=1)
 
 
 def jacobian(q_s: FloatArray, coordinates: FloatArray) -> FloatArray:
-    """J, the derivative of s by the parameters, shape (N, 3, 11) (eq. 41, its last entry right)."""
-    a0, a1, a2, a3, e1, e2, t1, t2, b1, b2, b3 = q_s
-    u, v = coordinates.T
-    (cos_u, ln_cos_u), (sin_u, ln_sin_u) = _powers(u, e1)
-    (cos_v, ln_cos_v), (sin_v, ln_sin_v) = _powers(v, e2)
+    """J, the derivative of s by the parameters, shape (N, 3, 11) (eq. 41, put right)."""
+    a0, a1, a2, a3, _, _, t1, t2, b1, b2, b3 = q_s
+    powers = _powers(q_s, coordinates)
+    (cos_u, ln_cos_u), (sin_u, ln_sin_u), (cos_v, ln_cos_v), (sin_v, ln_sin_v) = powers
     x, y = cos_u * cos_v, cos_u * sin_v
     taper_x, taper_y = t1 * sin_u + 1.0, t2 * sin_u + 1.0
     reach = (sin_u + b2 / (a0 * a3)) * np.pi
     swing = b1 * np.sin(reach * b3)
-    result = np.zeros((len(u), 3, len(PARAMETERS)), np.result_type(q_s, float))
+    result = np.zeros((len(coordinates), 3, len(PARAMETERS)), np.result_type(q_s, float))
     result[:, 0, 0] = taper_x * a1 * x + swing * b2 * b3 * np.pi / (a0**2 * a3)
     result[:, 1, 0] = taper_y * a2 * y
     result[:, 2, 0] = a3 * sin_u
@@ -90,59 +80,41 @@ def jacobian(q_s: FloatArray, coordinates: FloatArray) -> FloatArray:
 
 
 def jacobian_rate(q_s: FloatArray, rate: FloatArray, coordinates: FloatArray) -> FloatArray:
-    """J' q_s' [m/s^2], (N, 3): acceleration of s while the parameters change at a steady rate.
-
-    All that s is made of is a Taylor polynomial in time of second order.
-    """
-    parameters = list(zip(q_s, rate, np.zeros(len(PARAMETERS)), strict=True))
-    a0, a1, a2, a3, e1, e2, t1, t2, b1, b2, b3 = parameters
-    u, v = coordinates.T
-    cos_u, sin_u = (_steady(power, e1[1]) for power in _powers(u, e1[0]))
-    cos_v, sin_v = (_steady(power, e2[1]) for power in _powers(v, e2[0]))
-    x = _product(_product(_product(a0, a1), _product(cos_u, cos_v)), _taper(t1, sin_u))
-    y = _product(_product(_product(a0, a2), _product(cos_u, sin_v)), _taper(t2, sin_u))
-    z = _product(_product(a0, a3), sin_u)
-    place = _product(b2, _reciprocal(_product(a0, a3)))
-    reach = tuple(np.pi * (s + p) for s, p in zip(sin_u, place, strict=True))
-    bend = _product(b1, _cosine(_product(reach, b3)))
-    return np.stack([x[2] + bend[2], y[2], z[2]], axis=1)
+    """J' q_s' [m/s^2], (N, 3): acceleration of s while the parameters change at a steady rate."""
+    zero = np.zeros(())
+    parameters = [Taylor(value, change, zero) for value, change in zip(q_s, rate, strict=True)]
+    changes = np.repeat(rate[[E1, E2]], 2)
+    powers = [
+        Taylor(value, value * logarithm * change, value * (logarithm * change) ** 2)
+        for (value, logarithm), change in zip(_powers(q_s, coordinates), changes, strict=True)
+    ]
+    x, y, z = _deformed(parameters, powers, cosine)
+    return np.stack([x.second, y.second, z.second], axis=1)
 
 
-def _powers(
-    angle: FloatArray, exponent: FloatArray
-) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """C and S of eq. 20, each with the logarithm of its base.
+def _deformed(parameters: Any, powers: Any, cos: Callable[[Any], Any]) -> tuple[Any, Any, Any]:
+    """The three coordinates of eq. 21, of numbers or of what moves."""
+    a0, a1, a2, a3, _, _, t1, t2, b1, b2, b3 = parameters
+    cos_u, sin_u, cos_v, sin_v = powers
+    bend = b1 * cos((sin_u + b2 / (a0 * a3)) * b3 * np.pi)
+    x = a0 * a1 * cos_u * cos_v * (t1 * sin_u + 1.0) + bend
+    y = a0 * a2 * cos_u * sin_v * (t2 * sin_u + 1.0)
+    return x, y, a0 * a3 * sin_u
+
+
+def _powers(q_s: FloatArray, coordinates: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """C and S of eq. 20 of u and e1, then of v and e2, each with the logarithm of its base.
 
     Where the base is 0, so are the power and, as x^e ln x -> 0, all its derivatives by e.
     """
-    return _power(np.cos(angle), exponent), _power(np.sin(angle), exponent)
+    u, v = coordinates.T
+    exponents = np.repeat(q_s[[E1, E2]], 2)
+    bases = (np.cos(u), np.sin(u), np.cos(v), np.sin(v))
+    return [_power(base, exponent) for base, exponent in zip(bases, exponents, strict=True)]
 
 
-def _power(base: FloatArray, exponent: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _power(base: FloatArray, exponent: float) -> tuple[FloatArray, FloatArray]:
     size = np.abs(base)
     something = size > ROUNDING
     logarithm = np.log(np.where(something, size, 1.0))
     return np.where(something, np.sign(base), 0.0) * np.exp(exponent * logarithm), logarithm
-
-
-def _steady(power: tuple[FloatArray, FloatArray], rate: FloatArray) -> Taylor:
-    value, logarithm = power
-    return value, value * logarithm * rate, value * (logarithm * rate) ** 2
-
-
-def _taper(t: Taylor, sine: Taylor) -> Taylor:
-    value, first, second = _product(t, sine)
-    return value + 1.0, first, second
-
-
-def _product(a: Taylor, b: Taylor) -> Taylor:
-    return a[0] * b[0], a[1] * b[0] + a[0] * b[1], a[2] * b[0] + 2 * a[1] * b[1] + a[0] * b[2]
-
-
-def _reciprocal(a: Taylor) -> Taylor:
-    return 1.0 / a[0], -a[1] / a[0] ** 2, 2 * a[1] ** 2 / a[0] ** 3 - a[2] / a[0] ** 2
-
-
-def _cosine(a: Taylor) -> Taylor:
-    cos, sin = np.cos(a[0]), np.sin(a[0])
-    return cos, -sin * a[1], -cos * a[1] ** 2 - sin * a[2]
