@@ -440,7 +440,7 @@ def test_the_viewer_sees_the_picture_where_it_belongs(direction: str, dense: boo
     one = crossing(config)
     found = light('x', one.known, one.starts, surface, config, 0.05)
     warper = Warper.of(config, vertices())
-    lit = viewer.lit_points(found, 1, warper.texture)
+    lit = viewer.lit_points(found, 1, warper.skin.texture)
     inner = (np.abs(lit.texture - 0.5) < 0.45).all(axis=1)
     right = viewer.looked_up(viewer.framebuffer(found, 1, 'full', warper), lit.pixels)
     # the board is 300 x 400 px: 0.1 px of the key lines and float32

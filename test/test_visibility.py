@@ -8,7 +8,7 @@ from cloth_predict.config import ModelConfig, ProjectorConfig
 from cloth_predict.errors import FrameError
 from cloth_predict.projection.pinhole import Pinhole
 from cloth_predict.projection.texture import texture_coordinates
-from cloth_predict.projection.visibility import back_facing, occluded
+from cloth_predict.projection.visibility import back_facing, occluded, orientation
 from cloth_predict.surface.topology import grid_triangles
 
 EYE = Pinhole.from_config(
@@ -18,6 +18,7 @@ ROWS, COLS = 7, 6
 TRIANGLES = grid_triangles(ROWS, COLS)
 GRID = ModelConfig(rows=ROWS, cols=COLS)
 TEXTURE = texture_coordinates(GRID, np.zeros((ROWS * COLS, 3)), EYE)
+FRONT = orientation(TEXTURE, TRIANGLES)
 
 
 def sheet(seed, crumpled):
@@ -64,7 +65,7 @@ def test_a_folded_sheet_hides_its_far_half():
     hidden = occluded(pixels, depth, TRIANGLES).reshape(ROWS, COLS)
     assert hidden[5:, 1:-1].all()  # what is at the sides may look out, as it is farther away
     assert not hidden[:4].any()
-    back = back_facing(pixels, TRIANGLES, TEXTURE).reshape(ROWS, COLS)
+    back = back_facing(pixels, TRIANGLES, FRONT).reshape(ROWS, COLS)
     assert back[5:].all()
     assert not back[:3].any()
 
@@ -76,11 +77,12 @@ def test_a_sheet_shows_its_back_when_it_is_turned(angle):
     turned = Rotation.from_euler('y', angle, degrees=True).apply(flat - middle) + 3 * middle
     # seen along the ray to its middle, which is not the axis
     towards = np.cross(turned[1] - turned[0], turned[COLS] - turned[0]) @ turned[0]
-    found = back_facing(EYE.project(turned), TRIANGLES, TEXTURE)
+    found = back_facing(EYE.project(turned), TRIANGLES, FRONT)
     assert found.all() == (towards < 0)
     assert found.any() == (towards < 0)
     mirrored = texture_coordinates(GRID, flat, EYE, mirrored=True)
-    assert (back_facing(EYE.project(turned), TRIANGLES, mirrored) != found).all()
+    other = orientation(mirrored, TRIANGLES)
+    assert (back_facing(EYE.project(turned), TRIANGLES, other) != found).all()
 
 
 def test_what_has_no_pixel_hides_nothing():
@@ -89,7 +91,7 @@ def test_what_has_no_pixel_hides_nothing():
     pixels, depth = EYE.project(position), EYE.depth(position)
     found = occluded(pixels, depth, TRIANGLES)
     assert not found[20]
-    assert not back_facing(pixels, TRIANGLES, TEXTURE)[20]
+    assert not back_facing(pixels, TRIANGLES, FRONT)[20]
     assert not occluded(pixels, depth, np.zeros((0, 3), int)).any()
 
 

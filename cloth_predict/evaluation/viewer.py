@@ -53,7 +53,7 @@ def picture(found: Compensation, frame: int, path: Path) -> None:
     now = found.known[frame].surface
     assert now is not None
     warper = Warper.of(found.config, now.position)
-    lit = lit_points(found, frame, warper.texture)
+    lit = lit_points(found, frame, warper.skin.texture)
     seen, depth = _seen(found, lit.position)
     nearest_last = np.argsort(-depth[lit.triangles].mean(axis=1))
     mesh = Triangulation(seen[:, 0], seen[:, 1], lit.triangles[nearest_last])
@@ -125,8 +125,8 @@ def framebuffer(found: Compensation, frame: int, method: str, warper: Warper) ->
         keys.pixels,
         found.pinhole.depth(keys.position),
         keys.lines,
-        warper.texture,
-        warper.triangles,
+        warper.skin.texture,
+        warper.skin.triangles,
         (scan.width, scan.height),
         columns=scan.columns,
     ).astype(float)

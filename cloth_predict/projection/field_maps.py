@@ -18,7 +18,7 @@ def field_maps(warper: Warper, keys: tuple[KeyRows, ...]) -> list[tuple[float, I
     keys: key lines by field, none of a frame in which nothing is shown. Colours are pictures of
     their own; the fields of an interlaced frame share one.
     """
-    scan = warper.scan
+    scan, skin = warper.scan, warper.skin
     colours = scan.fields if scan.mode == 'colour_sequential' else 1
     size = scan.width, scan.height
     starts = [field / (scan.fields * scan.fps) for field in range(colours)]
@@ -28,11 +28,15 @@ def field_maps(warper: Warper, keys: tuple[KeyRows, ...]) -> list[tuple[float, I
             one.pixels,
             warper.pinhole.depth(one.position),
             one.lines,
-            warper.texture,
-            warper.triangles,
+            skin.texture,
+            skin.triangles,
             size,
+            front=skin.front,
             columns=scan.columns,
             drawn=scan.lit_by(field),
             out=images[field % colours],
         )
+    if skin.repeats:
+        for image in images:
+            image[..., 0] %= 1.0
     return list(zip(starts, images, strict=True))

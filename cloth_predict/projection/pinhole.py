@@ -117,6 +117,11 @@ class Pinhole:
             return found
         return self._lens.distort(found) @ self._frame[:2, :2].T + self._frame[:2, 2]
 
+    @property
+    def handedness(self) -> float:
+        """Sign of the area in the picture of what turns from u to v on a wall before it."""
+        return float(np.sign(np.linalg.det(self._frame[:2, :2])))
+
     def depth(self, points: FloatArray) -> FloatArray:
         """Distance along the axis [m] of points [m], shape (..., 3) to (...)."""
         return np.asarray(points @ self.rotation[2] + self.translation[2])

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_predict.projection.visibility import orientation
 from cloth_predict.types import BoolArray, FloatArray, IntArray
 
 DEPTHS = (1e-6, 1e6)
@@ -92,12 +93,14 @@ def cut(
     y: IntArray,
     length: int,
     mirrored: bool,
+    front: FloatArray | None = None,
 ) -> Spans:
     """Cut every triangle with every line y; ordered by line, and by pixel along it.
 
     A pixel on the first edge of a triangle belongs to it, one on the last edge does not, along the
     lines and across: triangles with a common edge share no pixel and leave none out. A triangle
-    shows its back where it turns the other way than in the texture, shape (nodes, 2).
+    shows its back where it turns the other way than `front` says, shape (t,), of which the sign
+    counts; without it, than in the texture, shape (nodes, 2).
     length: pixels of a line; mirrored: (u, y) is (v, u).
     """
     triangle, line = _pairs(vertices, triangles, y)
@@ -113,7 +116,7 @@ def cut(
     values = np.stack([u, near, texture[corners, 0] * near, texture[corners, 1] * near])
     one, two = (_crossing(values[..., [0, i]], beyond[:, [0, i]]) for i in (1, 2))
     turn = np.where(beyond[:, 0] > 0, two[0] - one[0], one[0] - two[0])
-    turn *= _area(texture, triangles)[triangle]
+    turn *= (orientation(texture, triangles) if front is None else front)[triangle]
     return _spans(line, one, two, turn > 0 if mirrored else turn < 0, length)
 
 
@@ -151,12 +154,6 @@ def _crossing(values: FloatArray, beyond: FloatArray) -> FloatArray:
     # An edge at one u crosses there, not by a rounding beside it.
     np.clip(found[0], values[0].min(axis=1), values[0].max(axis=1), out=found[0])
     return np.asarray(found)
-
-
-def _area(texture: FloatArray, triangles: IntArray) -> FloatArray:
-    """Twice the area of each triangle in the texture, with its sign."""
-    a, b, c = (texture[triangles[:, i]] for i in range(3))
-    return np.asarray(np.linalg.det(np.stack([b - a, c - a], axis=1)))
 
 
 def _spans(

@@ -33,13 +33,14 @@ def orientation(pixels: FloatArray, triangles: IntArray) -> FloatArray:
     return _cross(b - a, c - a)
 
 
-def back_facing(pixels: FloatArray, triangles: IntArray, texture: FloatArray) -> BoolArray:
-    """Which vertices show the side on which the texture is mirrored, shape (nodes,).
+def back_facing(pixels: FloatArray, triangles: IntArray, front: FloatArray) -> BoolArray:
+    """Which vertices show their back, shape (nodes,).
 
-    pixels and texture, each (nodes, 2); triangles (t, 3). That of most of the area round a vertex
+    pixels, shape (nodes, 2); triangles (t, 3); front: which way a triangle turns where it shows
+    its front, shape (t,), of which the sign counts. That of most of the area round a vertex
     counts; one without a triangle is never back-facing.
     """
-    area = orientation(pixels, triangles) * np.sign(orientation(texture, triangles))
+    area = orientation(pixels, triangles) * np.sign(front)
     weight = np.repeat(np.nan_to_num(area), 3)
     return np.bincount(triangles.ravel(), weight, len(pixels)) < 0
 

@@ -13,17 +13,16 @@ from cloth_predict.projection.motion import Motion
 from cloth_predict.projection.pinhole import Pinhole
 from cloth_predict.projection.scan import Scan
 from cloth_predict.projection.scanout import Drawn, KeyRows, draw, key_rows
-from cloth_predict.projection.texture import texture_coordinates
+from cloth_predict.projection.skin import Skin, skin_of
 from cloth_predict.projection.visibility import Flag, back_facing, occluded
-from cloth_predict.surface.assembly import topology_of
-from cloth_predict.types import FloatArray, IntArray, read_only
+from cloth_predict.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
 class Warped:
     """What is drawn in one frame, by field.
 
-    drawn: the vertices at the moments at which they are lit; flags, shape (fields, nodes), bits
+    drawn: the vertices at the moments at which they are lit; flags, shape (fields, vertices), bits
     of `Flag`; keys: all vertices at the draw times of the key lines.
     """
 
@@ -41,15 +40,12 @@ class Warped:
 class Warper:
     """Warps a surface for a projector.
 
-    shape: rows and columns of the vertices; triangles, shape (t, 3); texture, shape (nodes, 2);
     max_row_error [px] of what is interpolated between key lines.
     """
 
     pinhole: Pinhole
     scan: Scan
-    shape: tuple[int, int]
-    triangles: IntArray
-    texture: FloatArray
+    skin: Skin
     max_row_error: float
 
     @classmethod
@@ -60,18 +56,12 @@ class Warper:
         """
         pinhole = Pinhole.from_config(config.projector)
         scan = Scan.of(config.projector, pinhole.width, pinhole.height)
-        mirrored = config.projector.mirrored
-        texture = texture_coordinates(config.model, position, pinhole, mirrored)
-        triangles = topology_of(config.model, position).triangles
-        error = config.projector.max_row_error_px
-        return cls(pinhole, scan, config.model.shape, triangles, texture, error)
-
-    def __post_init__(self) -> None:
-        for name in ('triangles', 'texture'):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        skin = skin_of(config, position, pinhole)
+        return cls(pinhole, scan, skin, config.projector.max_row_error_px)
 
     def warp(self, motion: Motion) -> Warped:
-        """Return what is drawn of a surface that moves so from the start of the frame on."""
+        """Return what is drawn of nodes that move so from the start of the frame on."""
+        motion = Motion(motion.coefficients[:, self.skin.source])
         fields = range(self.scan.fields)
         drawn = tuple(draw(motion, self.pinhole, self.scan, field) for field in fields)
         keys = tuple(
@@ -81,24 +71,25 @@ class Warper:
         return Warped(drawn, np.array([self.flags(one) for one in drawn]), keys)
 
     def flags(self, drawn: Drawn) -> IntArray:
-        """Bits of `Flag` of each vertex, shape (nodes,)."""
-        pixels, depth = drawn.pixels, self.pinhole.depth(drawn.position)
+        """Bits of `Flag` of each vertex, shape (vertices,); they are those of its node."""
+        skin, nodes = self.skin, self.skin.nodes
+        pixels, depth = drawn.pixels[:nodes], self.pinhole.depth(drawn.position[:nodes])
         behind = ~np.isfinite(pixels).all(axis=1)
         found = np.where(behind, int(Flag.BEHIND), 0)
         for flag, holds in (
             (Flag.OUTSIDE, ~behind & ~self.pinhole.inside(pixels)),
-            (Flag.BACK_FACING, back_facing(pixels, self.triangles, self.texture)),
-            (Flag.OCCLUDED, occluded(pixels, depth, self.triangles)),
-            (Flag.UNCONVERGED, ~drawn.converged),
+            (Flag.BACK_FACING, back_facing(pixels, skin.faces, skin.front)),
+            (Flag.OCCLUDED, occluded(pixels, depth, skin.faces)),
+            (Flag.UNCONVERGED, ~drawn.converged[:nodes]),
         ):
             found |= np.where(holds, int(flag), 0)
-        return found
+        return np.asarray(found[skin.source])
 
     def vertices(self, warped: Warped) -> NDArray[np.void]:
         """Pack the vertices, shape (fields * rows, cols): the fields below each other."""
-        rows, cols = self.shape
+        rows, cols = self.skin.shape
         found = np.empty((len(warped.drawn), rows * cols), WARPED)
-        found['s'], found['t'] = self.texture.T
+        found['s'], found['t'] = self.skin.texture.T
         found['flags'] = warped.flags
         for field, drawn in enumerate(warped.drawn):
             of_field = found[field]
@@ -109,7 +100,7 @@ class Warper:
         return found.reshape(len(warped.drawn) * rows, cols)
 
     def scanlines(self, warped: Warped) -> NDArray[np.void]:
-        """Pack the key lines, shape (key lines of all fields, nodes)."""
+        """Pack the key lines, shape (key lines of all fields, vertices)."""
         packed = []
         for field, keys in enumerate(warped.keys):
             found = np.empty(keys.pixels.shape[:2], SCANLINE)

@@ -25,6 +25,7 @@ def warp_map(
     triangles: IntArray,
     size: tuple[int, int],
     *,
+    front: FloatArray | None = None,
     columns: bool = False,
     drawn: slice = slice(None),
     out: Image | None = None,
@@ -38,7 +39,8 @@ def warp_map(
     pixels: vertices (u, v) at the key lines [px], shape (k, nodes, 2), NaN where one is not seen:
     its triangles are left out; depth [m], shape (k, nodes); lines: the key lines, in any order,
     shape (k,); between them vertices move linearly. One key line is a field that is lit at once.
-    texture: (s, t) of the vertices, shape (nodes, 2); triangles, shape (t, 3);
+    texture: (s, t) of the vertices, shape (nodes, 2); triangles, shape (t, 3); front: which way
+    they turn where they show their front, shape (t,), as `cut` takes it;
     size: width and height [px]; columns: lines are columns; drawn: which lines, as `slice(1, None,
     2)` of an interlaced field; out: map to draw into, whose other lines stay as they are.
     """
@@ -51,7 +53,7 @@ def warp_map(
     y = np.arange(count)[drawn]
     order = np.argsort(lines)
     vertices = on_lines(pixels[order], depth[order], lines[order], y)
-    spans = cut(vertices, texture, triangles, y, length, mirrored=columns)
+    spans = cut(vertices, texture, triangles, y, length, columns, front)
     lit = np.full(len(y) * length, complex(np.nan, np.nan), np.complex64)
     layers = list(_layers(spans, length))
     nearest = np.zeros(len(lit), np.float32) if len(layers) > 1 else None
