@@ -11,6 +11,7 @@ from typing import cast
 
 import numpy as np
 
+from cloth_predict.exponential import Exponential
 from cloth_predict.types import (
     Dynamics,
     FloatArray,
@@ -189,5 +190,6 @@ INTEGRATORS: dict[str, Integrator] = {
     'euler': RungeKutta(EULER),
     'rk4': RungeKutta(RK4),
     'implicit_euler': ImplicitEuler(),
+    'exponential': Exponential(),
 }
 """The choices of `filter.integrator`; a new method is one entry."""

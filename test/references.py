@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 from cloth_predict.integrators import DenseTangent
 from cloth_predict.models.air import Air
+from cloth_predict.models.linear_part import LinearPart
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs, grid_pairs
 from cloth_predict.surface.topology import grid_triangles
@@ -180,7 +181,7 @@ class Linear:
     """x' = A x; offers all that the integrators ask of a model."""
 
     def __init__(self, A):
-        self.A = A
+        self.A, self.linear_part = A, LinearPart.of_matrix(A)
         self.dim_x, self.dim_u = len(A), 0
 
     def f(self, x, u):

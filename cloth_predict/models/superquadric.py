@@ -10,6 +10,7 @@ from scipy import sparse
 
 from cloth_predict.models import rotation, superquadric_shape
 from cloth_predict.models.closed_mesh import ClosedMesh
+from cloth_predict.models.linear_part import LinearPart, NormalModes, of_axes
 from cloth_predict.models.membrane import Membrane
 from cloth_predict.models.superquadric_kinematics import (
     GLOBAL,
@@ -201,6 +202,21 @@ class Superquadric:
     def input_after(self, u: FloatArray, dt: float) -> FloatArray:
         """Forces are held."""
         return u
+
+    @cached_property
+    def linear_part(self) -> LinearPart:
+        """All of the motion but what gravity, the input and inertial forces do, by its modes."""
+        free, pull = np.flatnonzero(self.moving[:LOCAL]), np.zeros(LOCAL)
+        pull[ROTATION] = PULL
+        rates = np.array([free, free + self.dim_q])
+        modes = [NormalModes.oscillators(rates, pull[free], self.alpha)]
+        if self.moving[LOCAL:].any():
+            rows = of_axes(LOCAL, self.nodes, (0, self.dim_q))
+            springs = self.membrane.matrix().toarray()
+            modes.append(
+                NormalModes.vibrations(rows, springs, self.node_mass, self.alpha, self.beta)
+            )
+        return LinearPart(self._linear_jac, tuple(modes))
 
     def _split(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """q, and the rates of what moves."""
