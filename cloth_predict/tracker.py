@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
-from cloth_predict.surface.starting import Start, Starter
 from cloth_predict.surface.topology import NO_TRIANGLES
-from cloth_predict.tracking.limits import Health, judge, require_certain, spread
-from cloth_predict.tracking.motion import NANOSECONDS, ahead, surface, uncertainty
+from cloth_predict.tracking.follower import Follower
+from cloth_predict.tracking.limits import Health, judge, require_certain
+from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.tracking.rewind import Entry, Memory
-from cloth_predict.tracking.track import Frame, Step, Track, begin, follow
+from cloth_predict.tracking.sheet import Sheet
+from cloth_predict.tracking.track import Frame, Step
 from cloth_predict.types import Belief, BoolArray, FloatArray, IntArray, Surface
 
 __all__ = ['NANOSECONDS', 'Step', 'Tracker']
@@ -25,7 +27,9 @@ NO_POINTS = np.zeros((0, 3))
 
 
 class Tracker:
-    """Follows a surface through frames of markers and predicts it; label i is node i.
+    """Follows a surface through frames of markers and predicts it.
+
+    Label i is node i of a surface of springs; a body attaches each label to a node of its own.
 
     counts: frames by outcome (see `Step`), and how often the covariance was `repaired`, and the
     surface started anew because it had `diverged` or was `lost` (its markers were elsewhere);
@@ -38,8 +42,8 @@ class Tracker:
         self.nodes = config.model.count
         self.counts: Counter[str] = Counter()
         self.markers: Counter[str] = Counter()
-        self._memory: Memory | None = None
-        self._starter = Starter(config)
+        self._memory: Memory[Any] | None = None
+        self._kind: Follower[Any] = Sheet(config)
         self._offered: int | None = None
         self._sigma: float | None = None
 
@@ -51,12 +55,13 @@ class Tracker:
     @property
     def triangles(self) -> IntArray:
         """Triangles of markers, shape (t, 3); none before the start, nor of a chain."""
-        return self._track().now.topology.triangles if self._memory else NO_TRIANGLES
+        return self._memory.latest.track.triangles if self._memory else NO_TRIANGLES
 
     @property
     def belief(self) -> Belief:
         """What the filter believes of the state, after the last frame."""
-        return self._track().now.belief
+        belief: Belief = self._track().belief
+        return belief
 
     def step(
         self,
@@ -78,9 +83,7 @@ class Tracker:
 
     def estimate(self) -> Surface:
         """Return the surface at the last frame."""
-        track, belief = self._track(), self._track().now.belief
-        known = belief.marginals(track.now.layout.rows)
-        return surface(track.now, belief.mean, known, track.stamp, 0.0)
+        return self._kind.estimate(self._track())
 
     def predict(self, horizon: float) -> Surface:
         """Return the surface `horizon` [s] after the last frame, by running the model there.
@@ -89,27 +92,20 @@ class Tracker:
         UncertainError where sigma is above `limits.sigma_error`.
         """
         self._sigma = None
-        found, self._sigma = self._ahead(horizon)
+        found, self._sigma = self._kind.predict(self._track(), horizon)
         require_certain(self._sigma, self.config.limits)
         return found
 
     def health(self) -> Health:
         """How well the surface is known: by the last prediction, and the markers in view."""
         if self._memory is None:
-            return Health('WARN', f'no surface yet: {self._starter.reason}')
+            return Health('WARN', f'no surface yet: {self._kind.reason}')
         if self._sigma is None:
             try:
-                _, self._sigma = self._ahead(self.config.horizon)
+                _, self._sigma = self._kind.predict(self._track(), self.config.horizon)
             except FrameError as error:
                 return Health('ERROR', str(error))
         return judge(self._sigma, self._memory.latest.step, self.config.limits)
-
-    def _ahead(self, horizon: float) -> tuple[Surface, float]:
-        """Return the surface `horizon` [s] ahead, and its sigma [m]."""
-        track = self._track()
-        mean, cov = ahead(track.now, horizon, self.config)
-        found = surface(track.now, mean, cov, track.stamp, horizon)
-        return found, spread(found, track.now.layout.free)
 
     def _check(self, positions: FloatArray, visible: BoolArray, points: FloatArray) -> None:
         if positions.shape != (self.nodes, 3) or visible.shape != (self.nodes,):
@@ -142,32 +138,19 @@ class Tracker:
         if dt <= 0:
             return self._late(memory, frame)
         try:
-            track, step = self._follow(memory.latest.track, frame)
+            track, step = self._kind.follow(memory.latest.track, frame)
         except FloatingPointError:
             self.counts['diverged'] += 1
             return self._restart(frame)
-        if self._is_lost(memory.latest.track, track, frame):
-            start = self._starter.offer(*frame)
-            if start is not None:
-                self.counts['lost'] += 1
-                return self._begin(start, frame, 'restarted')
+        found = self._kind.recover(memory.latest.track, track, frame)
+        if found is not None:
+            self.counts['lost'] += 1
+            return self._begin(*found, frame, 'restarted')
         memory.add(Entry(frame, track, step))
         self._count(step, 1)
         return step
 
-    def _is_lost(self, before: Track, after: Track, frame: Frame) -> bool:
-        """Whether most markers have been elsewhere for long, or are back after a long absence.
-
-        What is believed after such an absence is no guess to find the markers by.
-        """
-        patience = self.config.association.patience * NANOSECONDS
-        if after.stamp - after.good > patience:
-            return True
-        back = 2 * (frame.visible.sum() + len(frame.points)) > self.nodes
-        absent = np.median(before.stamp - before.last) > patience
-        return bool(back and absent and uncertainty(before.now) > self.config.limits.sigma_error)
-
-    def _late(self, memory: Memory, frame: Frame) -> Step:
+    def _late(self, memory: Memory[Any], frame: Frame) -> Step:
         """Put a late frame in its place, where it is not too late and not there already."""
         place = memory.place(frame.stamp)
         if memory.holds(frame.stamp):
@@ -175,7 +158,7 @@ class Tracker:
         if place is None:
             return _unused(frame, 'late')
         try:
-            before, after = memory.insert(place, frame, self._follow)
+            before, after = memory.insert(place, frame, self._kind.follow)
         except FloatingPointError:
             return _unused(frame, 'late')
         for entry in before:
@@ -191,20 +174,16 @@ class Tracker:
 
     def _start(self, frame: Frame, outcome: str) -> Step:
         self._offered = frame.stamp
-        start = self._starter.offer(*frame)
-        if start is None:
+        found = self._kind.start(frame)
+        if found is None:
             seen = np.where(frame.visible[:, None], frame.positions, np.nan)
             return Step('waiting', seen, frame.visible)
-        return self._begin(start, frame, outcome)
+        return self._begin(*found, frame, outcome)
 
-    def _begin(self, start: Start, frame: Frame, outcome: str) -> Step:
-        track, step = begin(start, frame, self.config)
+    def _begin(self, track: Any, step: Step, frame: Frame, outcome: str) -> Step:
         self._memory = Memory(self.config.filter.rewind, Entry(frame, track, step))
         self._count(step, 1)
         return replace(step, outcome=outcome)
-
-    def _follow(self, track: Track, frame: Frame) -> tuple[Track, Step]:
-        return follow(track, frame, self.config)
 
     def _count(self, step: Step, sign: int) -> None:
         for name, number in step.markers.items():
@@ -212,9 +191,9 @@ class Tracker:
         if step.repairs:
             self.counts['repaired'] += sign * step.repairs
 
-    def _track(self) -> Track:
+    def _track(self) -> Any:
         if self._memory is None:
-            raise FrameError(f'no surface yet: {self._starter.reason}')
+            raise FrameError(f'no surface yet: {self._kind.reason}')
         return self._memory.latest.track
 
 

@@ -4,35 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic
 
+from cloth_predict.tracking.follower import T
 from cloth_predict.tracking.motion import NANOSECONDS
-from cloth_predict.tracking.track import Frame, Step, Track
-
-Follow = Callable[[Track, Frame], tuple[Track, Step]]
+from cloth_predict.tracking.track import Frame, Step
 
 
 @dataclass(frozen=True)
-class Entry:
+class Entry(Generic[T]):
     """A frame, the track after it, and what became of it."""
 
     frame: Frame
-    track: Track
+    track: T
     step: Step
 
 
-class Memory:
+class Memory(Generic[T]):
     """The frames of the last `reach` [s] in the order of their stamps, and the one before them."""
 
-    def __init__(self, reach: float, first: Entry) -> None:
+    def __init__(self, reach: float, first: Entry[T]) -> None:
         self._reach = round(reach * NANOSECONDS)
         self._entries = [first]
 
     @property
-    def latest(self) -> Entry:
+    def latest(self) -> Entry[T]:
         """The latest frame."""
         return self._entries[-1]
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: Entry[T]) -> None:
         """Take a frame that is later than all others, and forget what is out of reach."""
         self._entries.append(entry)
         horizon = entry.frame.stamp - self._reach
@@ -50,7 +50,9 @@ class Memory:
         """Whether there is a frame with this stamp [ns]."""
         return any(entry.frame.stamp == stamp for entry in self._entries)
 
-    def insert(self, place: int, frame: Frame, follow: Follow) -> tuple[list[Entry], list[Entry]]:
+    def insert(
+        self, place: int, frame: Frame, follow: Callable[[T, Frame], tuple[T, Step]]
+    ) -> tuple[list[Entry[T]], list[Entry[T]]]:
         """Put a frame after `place` others and take those after it again.
 
         Returns what came after the place before and now. Nothing changes where `follow` raises.

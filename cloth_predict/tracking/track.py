@@ -80,6 +80,16 @@ class Track:
     good: int
     left: FloatArray = field(default_factory=no_points)
 
+    @property
+    def belief(self) -> Belief:
+        """What the filter believes of the state."""
+        return self.now.belief
+
+    @property
+    def triangles(self) -> IntArray:
+        """Triangles of markers, shape (t, 3); none of a chain."""
+        return self.now.topology.triangles
+
 
 def begin(start: Start, frame: Frame, config: Config) -> tuple[Track, Step]:
     """Track from a start at this frame, and which marker of the frame is which node."""
