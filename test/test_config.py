@@ -123,7 +123,7 @@ def test_shipped_files_are_there() -> None:
 def test_a_configuration_cannot_be_changed() -> None:
     config = Config()
     groups = [value for value in vars(config).values() if dataclasses.is_dataclass(value)]
-    assert len(groups) == 11
+    assert len(groups) == 12
     for part in (config, *groups):
         for field in dataclasses.fields(part):
             with pytest.raises(dataclasses.FrozenInstanceError):
@@ -250,7 +250,7 @@ def test_nested_names_build_what_a_file_builds() -> None:
         ('anchors: {motion: ekf}', "anchors.motion: 'ekf' is not one of fixed, "
          'constant_velocity, constant_acceleration, swing'),
         ('model: {topology: "e\\nf"}', "model.topology: 'e\\nf' is not one of grid, edges, "
-         'delaunay'),
+         'delaunay, closed'),
         ('model: {gravity: [0, -9.81]}', 'model.gravity: expected 3 values, got 2'),
         ('model: {gravity: []}', 'model.gravity: expected 3 values, got 0'),
         ('projector: {rotation: [1, 0, 0]}', 'projector.rotation: expected 9 values, got 3'),
@@ -278,7 +278,7 @@ def test_labels_that_are_not_as_many_as_the_nodes(file: Path) -> None:
     [
         ('nodes: 3', 'nodes: has no meaning with topology grid'),
         ('edges: [0, 1]', 'edges: has no meaning with topology grid'),
-        ('topology: mesh', "topology: 'mesh' is not one of grid, edges, delaunay"),
+        ('topology: mesh', "topology: 'mesh' is not one of grid, edges, delaunay, closed"),
         ('topology: delaunay, nodes: 9, edges: [0, 1], rest_length: measured',
          'edges: has no meaning with topology delaunay'),
         ('topology: delaunay, rest_length: measured', 'nodes: topology delaunay needs a number of '

@@ -26,9 +26,12 @@ from cloth_predict.errors import ConfigError
 def build(values: dict[str, Any], source: str) -> Config:
     """Build the configuration from nested mappings; `source` names their origin in errors."""
     config = typing.cast('Config', _build(Config, values, source, ''))
-    if config.model.topology != 'grid' and not config.model.nodes:
-        model = dataclasses.replace(config.model, nodes=len(config.labels))
-        config = dataclasses.replace(config, model=model)
+    model = config.model
+    if model.is_body and model.topology == 'grid':  # which is the default
+        model = dataclasses.replace(model, topology='closed')
+    if model.topology != 'grid' and not model.nodes:
+        model = dataclasses.replace(model, nodes=len(config.labels))
+    config = dataclasses.replace(config, model=model)
     check_together(config, source)
     return config
 

@@ -7,8 +7,11 @@ from itertools import combinations
 from cloth_predict.config.schema import Config, ModelConfig
 from cloth_predict.errors import ConfigError
 
-FEWEST_NODES = {'edges': 2, 'delaunay': 3}
+FEWEST_NODES = {'edges': 2, 'delaunay': 3, 'closed': 4}
 """By topology."""
+OF_BODIES = ('decoupled', 'ekf', 'ukf', 'ckf')
+"""Filters that follow a body."""
+ONLY_OF_BODIES = ('decoupled',)
 NEEDS_A_MARKER_PER_NODE = ('fixed_gain', 'recursive_least_squares')
 """Filters that lose a node which is never seen: its covariance grows for ever."""
 NEEDS_A_FORCE_PER_NODE = ('fixed_gain', 'reduced_rank')
@@ -17,8 +20,12 @@ NEEDS_A_FORCE_PER_NODE = ('fixed_gain', 'reduced_rank')
 
 def _check_model(model: ModelConfig, source: str) -> None:
     """Check that the parameters of the topology fit each other."""
+    if model.is_body != (model.topology == 'closed'):
+        raise ConfigError(
+            f'{source}.topology: {model.topology} has no meaning with kind {model.kind}'
+        )
     for name, given, kinds in (
-        ('nodes', model.nodes, ('edges', 'delaunay')),
+        ('nodes', model.nodes, tuple(FEWEST_NODES)),
         ('edges', model.edges, ('edges',)),
     ):
         if given and model.topology not in kinds:
@@ -38,7 +45,7 @@ def _check_model(model: ModelConfig, source: str) -> None:
             f'{source}.nodes: topology {model.topology} needs a number of nodes of at least '
             f'{FEWEST_NODES[model.topology]}, here or by labels'
         )
-    if model.rest_length == 'dimensions':
+    if model.rest_length == 'dimensions' and not model.is_body:
         raise ConfigError(
             f'{source}.rest_length: width and height tell nothing of topology {model.topology}; '
             f'choose measured or calibrated'
@@ -109,6 +116,27 @@ def _check_vsync(config: Config, source: str) -> None:
         )
 
 
+def _check_body(config: Config, source: str) -> None:
+    """Check that a body is asked for nothing that only a surface of springs has."""
+    model = config.model
+    for name, given in (
+        ('anchors.nodes', config.anchors.nodes),
+        ('model.springs', model.springs),
+        ('model.dampers', model.dampers),
+        ('model.masses', model.masses),
+        ('model.loads', model.loads),
+        ('force.kind', config.force.kind != 'none'),
+        ('wind.kind', config.wind.kind != 'none'),
+    ):
+        if given:
+            raise ConfigError(f'{source}: {name}: has no meaning with model.kind {model.kind}')
+    if len(config.labels) > model.nodes:
+        raise ConfigError(
+            f'{source}: labels: {len(config.labels)} labels, but model.nodes has only '
+            f'{model.nodes} nodes'
+        )
+
+
 def check_together(config: Config, source: str) -> None:
     """Raise ConfigError, which names `source`, where values do not fit each other."""
     _check_model(config.model, f'{source}: model')
@@ -123,7 +151,9 @@ def check_together(config: Config, source: str) -> None:
     chain = config.model.topology == 'grid' and 1 in config.model.mesh
     if config.wind.kind != 'none' and (chain or config.model.topology == 'edges'):
         raise ConfigError(f'{source}: wind.kind: a chain or a list of edges has no normals')
-    if config.labels and len(config.labels) != nodes:
+    if config.model.is_body:
+        _check_body(config, source)
+    elif config.labels and len(config.labels) != nodes:
         raise ConfigError(
             f'{source}: labels: {len(config.labels)} labels, but {config.model.counted_by} has '
             f'{nodes} nodes'
@@ -144,6 +174,9 @@ def check_together(config: Config, source: str) -> None:
 
 def misfit(config: Config, kind: str) -> str:
     """Return why a kind of filter does not work with the rest of a configuration, or nothing."""
+    body = config.model.is_body
+    if kind not in OF_BODIES if body else kind in ONLY_OF_BODIES:
+        return f'filter.kind {kind} does not work with model.kind {config.model.kind}'
     if config.model.refine > 1 and kind in NEEDS_A_MARKER_PER_NODE:
         return f'filter.kind {kind} needs model.refine 1'
     if config.wind.kind != 'none' and kind in NEEDS_A_FORCE_PER_NODE:

@@ -31,19 +31,27 @@ def param(
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """The mass-spring-damper surface."""
+    """The model of the surface: masses and springs, or a deformable body (`body`)."""
 
-    kind: str = param('mass_spring', 'model of the surface', choices=('mass_spring',))
+    kind: str = param(
+        'mass_spring',
+        'a surface of masses, springs and dampers, or a closed body, of which of this group only '
+        '`nodes`, `mass` and `gravity` count',
+        choices=('mass_spring', 'superquadric'),
+    )
     topology: str = param(
         'grid',
         'which nodes are joined: rows and columns, listed edges, or a triangulation at the start '
-        '(its markers without labels are numbered as they come)',
-        choices=('grid', 'edges', 'delaunay'),
+        '(its markers without labels are numbered as they come); that of a body is `closed`, and '
+        'need not be said',
+        choices=('grid', 'edges', 'delaunay', 'closed'),
     )
     rows: int = param(5, 'rows of nodes of a grid; a chain has 1', low=1)
     cols: int = param(4, 'columns of nodes of a grid', low=1)
     nodes: int = param(
-        0, 'number of nodes of `edges` and `delaunay`; that of `labels` when left out', low=0
+        0,
+        'number of nodes of `edges`, `delaunay` and `closed`; that of `labels` when left out',
+        low=0,
     )
     edges: tuple[int, ...] = param(
         (), 'pairs of joined nodes of `edges`, one after the other: 0, 1, 1, 2, ...', low=0
@@ -147,6 +155,56 @@ class ModelConfig:
         """The parameters that give the number of nodes."""
         return 'model.rows x model.cols' if self.topology == 'grid' else 'model.nodes'
 
+    @property
+    def is_body(self) -> bool:
+        """Whether it is a closed body, and no surface of springs."""
+        return self.kind == 'superquadric'
+
+
+@dataclass(frozen=True)
+class BodyConfig:
+    """A closed body that deforms (`model.kind: superquadric`; Metaxas and Terzopoulos 1993)."""
+
+    mesh: str = param(
+        'even',
+        'nodes: spread evenly over the body, or at the markers of the first frame, and evenly '
+        'between them',
+        choices=('even', 'markers'),
+    )
+    initial: tuple[float, ...] = param(
+        (),
+        'shape to start from: a0 (m), a1, a2, a3, e1, e2, t1, t2, b1 (m), b2, b3; an ellipsoid as '
+        'large as the markers when left out',
+    )
+    fixed: tuple[str, ...] = param((), 'global parameters, by name, that keep this shape')
+    local: bool = param(True, 'whether each node can be displaced from the global shape')
+    w0: float = param(0.1, 'membrane: stiffness against displacement', 'N/m', low=0)
+    w1: float = param(0.5, 'membrane: stiffness against its variation', 'N/m', low=0)
+    alpha: float = param(1.0, 'damping by mass: how fast motion dies away', '1/s', low=0)
+    beta: float = param(0.0, 'damping by stiffness of the displacements', 's', low=0)
+    inertial: bool = param(
+        False, 'centrifugal and Coriolis forces; the motion is linear without them'
+    )
+    reattach: int = param(
+        50, 'frames after which markers without a label are attached to nodes anew', low=1
+    )
+    coupling: str = param(
+        'parts',
+        'decoupled: covariances of translation, rotation and shape by themselves, or all three '
+        'together; each node has one of its own',
+        choices=('parts', 'pose'),
+    )
+    translation_noise: float = param(
+        1.0, 'spectral density of the unknown acceleration of the centre', 'm^2/s^3', low=0
+    )
+    rotation_noise: float = param(
+        10.0, 'the same of each component of the quaternion', '1/s^3', low=0
+    )
+    global_noise: float = param(
+        1.0, 'the same of each shape parameter, lengths by the size of the body', '1/s^3', low=0
+    )
+    local_noise: float = param(0.01, 'the same of the displacement of each node', 'm^2/s^3', low=0)
+
 
 @dataclass(frozen=True)
 class AnchorsConfig:
@@ -236,7 +294,8 @@ class FilterConfig:
 
     kind: str = param(
         'ekf',
-        'estimator; ukf and ckf cost some hundred times the ekf',
+        'estimator; ukf and ckf cost some hundred times the ekf; a body has ekf, ukf, ckf and '
+        'decoupled',
         choices=(
             'ekf',
             'ukf',
@@ -246,10 +305,13 @@ class FilterConfig:
             'gomes2016',
             'fixed_gain',
             'reduced_rank',
+            'decoupled',
         ),
     )
     integrator: str = param(
-        'implicit_euler', 'step in time', choices=('euler', 'rk4', 'implicit_euler')
+        'implicit_euler',
+        'step in time of a surface of springs',
+        choices=('euler', 'rk4', 'implicit_euler'),
     )
     max_step: float = param(
         0.01, 'longest step from frame to frame; a longer interval is split', 's', low=1e-4
@@ -542,6 +604,7 @@ class Config:
         (), 'labels of the markers to use, in node order; all of the recording when left out'
     )
     model: ModelConfig = ModelConfig()
+    body: BodyConfig = BodyConfig()
     anchors: AnchorsConfig = AnchorsConfig()
     force: ForceConfig = ForceConfig()
     wind: WindConfig = WindConfig()
