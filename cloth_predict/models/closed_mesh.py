@@ -75,8 +75,8 @@ class ClosedMesh:
         """
         direction = (positions - centre) @ rotation / semi_axes
         length = np.linalg.norm(direction, axis=1)
-        if not np.all(length > 0.0):
-            at = int(np.argmin(length > 0.0))
+        if np.any(length == 0.0):
+            at = int(np.argmin(length))
             raise ConfigError(f'a closed mesh through the points: point {at} is at the centre')
         x, y, z = (direction / length[:, None]).T
         return cls._of(np.stack([np.arcsin(np.clip(z, -1.0, 1.0)), np.arctan2(y, x)], axis=1))

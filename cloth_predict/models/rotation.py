@@ -58,7 +58,7 @@ def curvature(theta: FloatArray, weight: FloatArray) -> FloatArray:
 
 def turned_jacobian(theta: FloatArray, p: FloatArray) -> FloatArray:
     """B, the derivative of R p by theta, (N, 3, 4), of points p, (N, 3) (M. & T. 1993, eq. 7)."""
-    return np.einsum('abk,nb->nak', derivative(theta), p)
+    return np.asarray(np.einsum('abk,nb->nak', derivative(theta), p))
 
 
 def rate_map(theta: FloatArray) -> FloatArray:

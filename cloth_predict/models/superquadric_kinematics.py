@@ -29,6 +29,14 @@ class Kinematics:
     def __init__(self, mesh: ClosedMesh) -> None:
         self.mesh, self.nodes = mesh, len(mesh)
         self.dim_q = LOCAL + 3 * self.nodes
+        shared = np.broadcast_to(np.arange(LOCAL), (self.nodes, LOCAL))
+        own = LOCAL + np.arange(3 * self.nodes).reshape(-1, 3)
+        columns = np.repeat(np.concatenate([shared, own], axis=1), 3, axis=0)
+        # each row of L has the same number of entries
+        self._columns, self._starts = (
+            columns.ravel(),
+            columns.shape[1] * np.arange(len(columns) + 1),
+        )
 
     def local(self, q: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """Displacements d or their rate, shape (m, 3), in the frame of the body."""
@@ -126,5 +134,7 @@ class Kinematics:
 
     def _by_coordinates(self, by_global: FloatArray, by_own: FloatArray) -> sparse.csr_array:
         """A derivative, (3N, dim_q), from (N, 3, 18) and one (3, 3) by each node's own d."""
-        own = sparse.kron(sparse.eye_array(self.nodes), by_own)
-        return sparse.hstack([by_global.reshape(-1, LOCAL), own], format='csr')
+        own = np.broadcast_to(by_own, (self.nodes, 3, 3))
+        values = np.concatenate([by_global, own], axis=2)
+        shape = (3 * self.nodes, self.dim_q)
+        return sparse.csr_array((values.ravel(), self._columns, self._starts), shape=shape)
