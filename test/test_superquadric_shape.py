@@ -97,9 +97,15 @@ def test_the_rate_of_the_jacobian_equals_central_differences(seed):
         np.zeros(1),
         1e-5,
     )
-    found = shape.jacobian_rate(q_s, rate, COORDINATES)
+    moved = shape.motion(q_s, rate, COORDINATES)
     # as above, by the fourth derivative
-    np.testing.assert_allclose(found.ravel(), along[:, 0], atol=1e-6 * np.abs(along).max())
+    expected = along.reshape(-1, 3)
+    np.testing.assert_allclose(moved.second, expected, atol=1e-6 * np.abs(along).max())
+    np.testing.assert_allclose(
+        moved.value, shape.positions(q_s, COORDINATES), atol=1e-15
+    )  # rounding
+    expected = shape.jacobian(q_s, COORDINATES) @ rate
+    np.testing.assert_allclose(moved.first, expected, atol=1e-12 * np.abs(expected).max())  # same
 
 
 def test_the_scale_is_redundant():
@@ -208,7 +214,8 @@ def test_all_is_finite_at_poles_and_edges(e1, e2):
     rate = np.random.default_rng(1).normal(size=11)
     assert np.all(np.isfinite(shape.positions(q_s, CORNERS)))
     assert np.all(np.isfinite(shape.jacobian(q_s, CORNERS)))
-    assert np.all(np.isfinite(shape.jacobian_rate(q_s, rate, CORNERS)))
+    moved = shape.motion(q_s, rate, CORNERS)
+    assert np.all(np.isfinite([moved.value, moved.first, moved.second]))
 
 
 def test_where_a_sine_is_0_squareness_moves_nothing():

@@ -62,23 +62,22 @@ class Kinematics:
         part where the quaternion keeps its length.
         """
         theta, turning = q[ROTATION], rate[ROTATION]
-        coordinates = self._coordinates(nodes)
-        shape_rate = superquadric_shape.jacobian(q[GLOBAL], coordinates) @ rate[GLOBAL]
-        growth = superquadric_shape.jacobian_rate(q[GLOBAL], rate[GLOBAL], coordinates)
+        shape = superquadric_shape.motion(q[GLOBAL], rate[GLOBAL], self._coordinates(nodes))
+        turn_rate = rotation.derivative(theta) @ turning
         return np.asarray(
-            self._in_body(q, nodes) @ rotation.second_rate(theta, turning).T
-            + (shape_rate + self.local(rate, nodes))
-            @ (2.0 * rotation.derivative(theta) @ turning).T
-            + growth @ rotation.matrix(theta).T
+            (shape.value + self.local(q, nodes)) @ rotation.second_rate(theta, turning).T
+            + (shape.first + self.local(rate, nodes)) @ (2.0 * turn_rate).T
+            + shape.second @ rotation.matrix(theta).T
         )
 
     def global_jacobian(self, q: FloatArray, nodes: IntArray | None = None) -> FloatArray:
         """The part [I B RJ] of L, shape (m, 3, 18); the rest is R at the node itself."""
-        theta = q[ROTATION]
         shape = superquadric_shape.jacobian(q[GLOBAL], self._coordinates(nodes))
-        identity = np.broadcast_to(np.eye(3), (len(shape), 3, 3))
-        turned = rotation.turned_jacobian(theta, self._in_body(q, nodes))
-        return np.concatenate([identity, turned, rotation.matrix(theta) @ shape], axis=2)
+        result = np.empty((len(shape), 3, LOCAL))
+        result[:, :, TRANSLATION] = np.eye(3)
+        result[:, :, ROTATION] = rotation.turned_jacobian(q[ROTATION], self._in_body(q, nodes))
+        result[:, :, GLOBAL] = np.einsum('ab,nbk->nak', rotation.matrix(q[ROTATION]), shape)
+        return result
 
     def jacobian(self, q: FloatArray) -> sparse.csr_array:
         """L of all nodes, shape (3N, dim_q)."""

@@ -79,8 +79,8 @@ def jacobian(q_s: FloatArray, coordinates: FloatArray) -> FloatArray:
     return result
 
 
-def jacobian_rate(q_s: FloatArray, rate: FloatArray, coordinates: FloatArray) -> FloatArray:
-    """J' q_s' [m/s^2], (N, 3): acceleration of s while the parameters change at a steady rate."""
+def motion(q_s: FloatArray, rate: FloatArray, coordinates: FloatArray) -> Taylor:
+    """Points s, J q_s' and J' q_s', (N, 3) each, while the parameters change at a steady rate."""
     zero = np.zeros(())
     parameters = [Taylor(value, change, zero) for value, change in zip(q_s, rate, strict=True)]
     changes = np.repeat(rate[[E1, E2]], 2)
@@ -88,8 +88,12 @@ def jacobian_rate(q_s: FloatArray, rate: FloatArray, coordinates: FloatArray) ->
         Taylor(value, value * logarithm * change, value * (logarithm * change) ** 2)
         for (value, logarithm), change in zip(_powers(q_s, coordinates), changes, strict=True)
     ]
-    x, y, z = _deformed(parameters, powers, cosine)
-    return np.stack([x.second, y.second, z.second], axis=1)
+    moved = _deformed(parameters, powers, cosine)
+    return Taylor(
+        np.stack([axis.value for axis in moved], axis=1),
+        np.stack([axis.first for axis in moved], axis=1),
+        np.stack([axis.second for axis in moved], axis=1),
+    )
 
 
 def _deformed(parameters: Any, powers: Any, cos: Callable[[Any], Any]) -> tuple[Any, Any, Any]:
