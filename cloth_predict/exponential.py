@@ -64,14 +64,10 @@ class ExponentialTangent:
         self.dt = dt
         self._model, self._stages, self._inputs = model, stages, (u, model.input_after(u, dt))
         self._slopes = [
-            sparse.csr_array(model.jac(stage, held) - self.part.matrix)
-            for stage, held in zip(stages, self._inputs, strict=True)
+            self._slope(stage, held) for stage, held in zip(stages, self._inputs, strict=True)
         ]
-
-    @property
-    def linear(self) -> bool:
+        self.linear = not any(slope.data.any() for slope in self._slopes)
         """Whether the derivative is e^(dt A) alone."""
-        return not any(slope.data.any() for slope in self._slopes)
 
     def push(self, columns: FloatArray) -> FloatArray:
         """Return F C."""
@@ -109,6 +105,11 @@ class ExponentialTangent:
         first = first + self._of('once', begin)
         end = self._slopes[1] @ first + added
         return np.asarray(first + self._of('twice', (end - begin) / self.dt))
+
+    def _slope(self, stage: FloatArray, held: FloatArray) -> sparse.csr_array:
+        """Derivative of n."""
+        jac, matrix = self._model.jac(stage, held), self.part.matrix
+        return sparse.csr_array(jac.shape) if jac is matrix else sparse.csr_array(jac - matrix)
 
     def _of(self, which: Which, columns: FloatArray, back: bool = False) -> FloatArray:
         return self.part.apply(which, self.dt, columns, back)

@@ -1,4 +1,4 @@
-"""What is seen of the state: the position rows of the visible nodes, or a linear map of it."""
+"""What is seen of the state: positions of nodes, of a sheet or of a body, or a linear map."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cloth_predict.models.superquadric import LOCAL, Superquadric
 from cloth_predict.types import FloatArray, IntArray
 
 
@@ -55,3 +56,41 @@ class LinearObservation:
     def jac(self, x: FloatArray) -> FloatArray:
         """H."""
         return self.matrix
+
+
+@dataclass(frozen=True)
+class NodePositions:
+    """Sees markers at nodes of a body, at some several (Metaxas & Terzopoulos 1993, eq. 14).
+
+    nodes, shape (m,): the node of each marker; sigma [m] on each coordinate, of all markers or of
+    each, shape (m,). What does not move in the body is taken as known. The state may go on after
+    that of the body, x = [q; q'; ...].
+    """
+
+    body: Superquadric
+    nodes: IntArray
+    sigma: float | FloatArray
+
+    @property
+    def cov(self) -> FloatArray:
+        """Noise variances [m^2], shape (3m,)."""
+        return np.repeat(np.broadcast_to(np.square(self.sigma), len(self.nodes)), 3)
+
+    def h(self, x: FloatArray) -> FloatArray:
+        """Positions [m], shape (3m,)."""
+        return self.body.position(x, self.nodes).ravel()
+
+    def parts(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivative by the coordinates that all nodes share, (m, 3, 18), and by a node's own."""
+        moving = self.body.moving
+        shared = self.body.global_jacobian(x, self.nodes) * moving[:LOCAL]
+        return shared, self.body.rotation(x) * moving[LOCAL]
+
+    def jac(self, x: FloatArray) -> FloatArray:
+        """H (eq. 17), shape (3m, dim_x)."""
+        shared, own = self.parts(x)
+        full = np.zeros((len(self.nodes), 3, len(x)))
+        full[:, :, :LOCAL] = shared
+        columns = LOCAL + 3 * self.nodes[:, None, None] + np.arange(3)
+        full[np.arange(len(full))[:, None, None], np.arange(3)[:, None], columns] = own
+        return full.reshape(-1, len(x))

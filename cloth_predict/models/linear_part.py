@@ -109,13 +109,25 @@ class LinearPart:
         self, which: Which, time: float, columns: FloatArray, back: bool = False
     ) -> FloatArray:
         """Function of A, or its transpose, times columns, shape (dim_x,) or (dim_x, c)."""
-        still = {'exp': 1.0, 'once': time, 'twice': 0.5 * time**2}[which]
-        result = still * columns
+        result = _still(which, time) * columns
         for modes in self.modes:
             own = columns[modes.rows].reshape(*modes.rows.shape, -1)
             moved = modes.apply(which, time, own, back)
             result[modes.rows] = moved.reshape(*modes.rows.shape, *columns.shape[1:])
         return np.asarray(result)
+
+    def submatrix(self, which: Which, time: float, rows: IntArray) -> FloatArray:
+        """Function of A for states that no others act on, rows of shape (g,), shape (g, g)."""
+        place = np.full(self.matrix.shape[0], -1)
+        place[rows] = np.arange(len(rows))
+        result = _still(which, time) * np.eye(len(rows))
+        for modes in self.modes:
+            own = place[modes.rows].reshape(len(modes.rows), -1)
+            if (own >= 0).all():
+                result[own[:, :, None], own[:, None]] = modes.matrix(which, time).reshape(
+                    own.shape[1], -1
+                )
+        return result
 
 
 class Semilinear(Dynamics, Protocol):
@@ -133,6 +145,11 @@ def of_axes(first: int, nodes: int, groups: Sequence[int]) -> IntArray:
     """
     vectors = first + np.arange(3 * nodes).reshape(nodes, 3).T
     return np.asarray(np.asarray(groups)[None, :, None] + vectors[:, None, :])
+
+
+def _still(which: Which, time: float) -> float:
+    """Function of a state that does not move by itself, A = 0."""
+    return {'exp': 1.0, 'once': time, 'twice': 0.5 * time**2}[which]
 
 
 def _oscillators(stiffness: FloatArray, damping: FloatArray | float) -> FloatArray:

@@ -1,0 +1,107 @@
+"""A Gaussian belief of a body without most correlations, and which of them are left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from cloth_predict.models.superquadric import GLOBAL, LOCAL, ROTATION, TRANSLATION, Superquadric
+from cloth_predict.types import BoolArray, FloatArray, IntArray, read_only
+
+Coupling = Literal['parts', 'pose']
+NONE = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Which states are correlated with which.
+
+    shared, shape (g,): states that belong to no single node; coupled, shape (g, g): which of them
+    with which; own, shape (nodes, m): the states of each node, correlated among themselves.
+    """
+
+    dim_x: int
+    shared: IntArray
+    coupled: BoolArray
+    own: IntArray
+
+    @classmethod
+    def of_body(cls, body: Superquadric, coupling: Coupling, pushed: IntArray = NONE) -> Blocks:
+        """Blocks for x = [q; q'; a], a being accelerations of the coordinates `pushed`.
+
+        `parts`: translation, rotation and global deformation, each by itself (Metaxas &
+        Terzopoulos 1993, V.C); `pose`: these together. Displacements that stay are in no block.
+        """
+        part = np.zeros(LOCAL, np.int64)
+        for k, rows in enumerate((TRANSLATION, ROTATION, GLOBAL)):
+            part[rows] = k if coupling == 'parts' else 0
+        groups = np.arange(LOCAL), body.dim_q + np.arange(LOCAL)
+        shared = np.concatenate([*groups, body.dim_x + np.arange(len(pushed))])
+        part = np.concatenate([part, part, part[pushed]])
+        coupled = part[:, None] == part
+        displacement = LOCAL + np.arange(3 * body.nodes).reshape(-1, 3)
+        own = np.hstack([displacement, body.dim_q + displacement])
+        return cls(
+            body.dim_x + len(pushed),
+            shared,
+            coupled,
+            own[: body.nodes if body.moving[LOCAL:].any() else 0],
+        )
+
+    @classmethod
+    def whole(cls, dim_x: int) -> Blocks:
+        """One block of all states."""
+        return cls(
+            dim_x, np.arange(dim_x), np.ones((dim_x, dim_x), bool), np.zeros((0, 6), np.int64)
+        )
+
+    def of(self, mean: FloatArray, cov: FloatArray) -> BlockGaussian:
+        """Belief nearest to a Gaussian: its blocks, of a covariance of shape (dim_x, dim_x)."""
+        shared = cov[self.shared[:, None], self.shared]
+        return self.belief(mean, shared, cov[self.own[:, :, None], self.own[:, None]])
+
+    def belief(self, mean: FloatArray, shared: FloatArray, own: FloatArray) -> BlockGaussian:
+        """Belief of these covariances, (g, g) and (nodes, m, m), without what is not coupled."""
+        return BlockGaussian(mean, np.where(self.coupled, shared, 0.0), own, self)
+
+    def diagonal(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Values of the states, (dim_x,), as diagonals of the blocks, (g, g) and (nodes, m, m)."""
+        own = values[self.own]
+        return np.diag(values[self.shared]), own[:, :, None] * np.eye(own.shape[1])
+
+
+@dataclass(frozen=True)
+class BlockGaussian:
+    """Mean, shape (dim_x,), and covariances of the blocks, (g, g) and (nodes, m, m)."""
+
+    mean: FloatArray
+    shared: FloatArray
+    own: FloatArray
+    blocks: Blocks
+
+    def __post_init__(self) -> None:
+        for name in ('mean', 'shared', 'own'):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def marginals(self, rows: IntArray) -> FloatArray:
+        """Covariances of k groups of m states each, rows of shape (k, m), shape (k, m, m)."""
+        block, place = np.full((2, len(self.mean)), -1)
+        block[self.blocks.shared], place[self.blocks.shared] = 0, np.arange(len(self.shared))
+        block[self.blocks.own] = 1 + np.arange(len(self.own))[:, None]
+        place[self.blocks.own] = np.arange(self.own.shape[1])
+        of_row, at = block[rows], place[rows]
+        result = np.zeros((*rows.shape, rows.shape[1]))
+        same = of_row[:, :, None] == of_row[:, None]
+        group, left, right = np.nonzero(same & (of_row >= 0)[:, :, None])
+        chosen, i, j = of_row[group, left], at[group, left], at[group, right]
+        values, common = np.empty(len(group)), chosen == 0
+        values[common] = self.shared[i[common], j[common]]
+        values[~common] = self.own[chosen[~common] - 1, i[~common], j[~common]]
+        result[group, left, right] = values
+        return result
+
+    def moved_to(self, mean: FloatArray) -> BlockGaussian:
+        """The same with another mean."""
+        return replace(self, mean=mean)
