@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from bodies import body
 from references import (
     Linear,
     central_differences,
@@ -15,13 +16,10 @@ from scipy.linalg import expm
 
 from cloth_predict.exponential import Exponential
 from cloth_predict.integrators import RK4, RungeKutta
-from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.linear_part import LinearPart
-from cloth_predict.models.superquadric import Superquadric
 
 NO_INPUT = np.zeros(0)
 STEP = Exponential()
-REFERENCE = np.array([0.3, 1.0, 0.8, 0.9, 1.0, 1.0, 0.1, 0.0, 0.02, 0.0, 0.5])
 
 
 class Pendulums:
@@ -50,23 +48,6 @@ class Pendulums:
 
     def input_after(self, u, dt):
         return np.append(u[:2] + dt * u[2:], u[2:])
-
-
-def body(nodes=20, **settings):
-    """A body that moves, stretches and turns, and forces on it."""
-    rng = np.random.default_rng(1)
-    model = Superquadric(
-        ClosedMesh.even(nodes),
-        mass=0.05,
-        reference=REFERENCE,
-        beta=0.002,
-        gravity=(0.0, 0.0, -9.81),
-        **settings,
-    )
-    theta, d = rng.normal(size=4), rng.normal(0, 0.01, 3 * nodes)
-    x = model.state(rng.normal(size=3), theta, REFERENCE, d)
-    x[model.dim_q :] = rng.normal(0, 0.3, model.dim_q) * model.moving
-    return model, x, rng.normal(0, 0.002, model.dim_u)
 
 
 def fixed_width(nodes=20):

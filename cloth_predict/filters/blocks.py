@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -71,6 +72,22 @@ class Blocks:
         own = values[self.own]
         return np.diag(values[self.shared]), own[:, :, None] * np.eye(own.shape[1])
 
+    @cached_property
+    def places(self) -> tuple[IntArray, IntArray, IntArray]:
+        """Of each state: its block, the start of its row among all blocks' entries, its column.
+
+        A state in no block is one by itself, whose entry is the last, after those of all blocks.
+        """
+        block, place = -1 - np.arange(self.dim_x), np.zeros(self.dim_x, np.int64)
+        size, width = len(self.shared), self.own.shape[1]
+        start = np.full(self.dim_x, size**2 + width * self.own.size)
+        block[self.shared], place[self.shared] = 0, np.arange(size)
+        start[self.shared] = size * np.arange(size)
+        block[self.own] = 1 + np.arange(len(self.own))[:, None]
+        place[self.own] = np.arange(width)
+        start[self.own] = size**2 + width * np.arange(self.own.size).reshape(self.own.shape)
+        return block, start, place
+
 
 @dataclass(frozen=True)
 class BlockGaussian:
@@ -87,20 +104,11 @@ class BlockGaussian:
 
     def marginals(self, rows: IntArray) -> FloatArray:
         """Covariances of k groups of m states each, rows of shape (k, m), shape (k, m, m)."""
-        block, place = np.full((2, len(self.mean)), -1)
-        block[self.blocks.shared], place[self.blocks.shared] = 0, np.arange(len(self.shared))
-        block[self.blocks.own] = 1 + np.arange(len(self.own))[:, None]
-        place[self.blocks.own] = np.arange(self.own.shape[1])
-        of_row, at = block[rows], place[rows]
-        result = np.zeros((*rows.shape, rows.shape[1]))
-        same = of_row[:, :, None] == of_row[:, None]
-        group, left, right = np.nonzero(same & (of_row >= 0)[:, :, None])
-        chosen, i, j = of_row[group, left], at[group, left], at[group, right]
-        values, common = np.empty(len(group)), chosen == 0
-        values[common] = self.shared[i[common], j[common]]
-        values[~common] = self.own[chosen[~common] - 1, i[~common], j[~common]]
-        result[group, left, right] = values
-        return result
+        block, start, place = self.blocks.places
+        left, right = rows[:, :, None], rows[:, None]
+        values = np.concatenate([self.shared.ravel(), self.own.ravel(), [0.0]])
+        at = np.where(block[left] == block[right], start[left] + place[right], len(values) - 1)
+        return np.asarray(values[at])
 
     def moved_to(self, mean: FloatArray) -> BlockGaussian:
         """The same with another mean."""

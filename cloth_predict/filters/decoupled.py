@@ -18,7 +18,7 @@ from cloth_predict.exponential import ExponentialTangent
 from cloth_predict.filters.ahead import run_ahead
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
 from cloth_predict.filters.linear import condition, of_groups, symmetric
-from cloth_predict.models.superquadric import LOCAL
+from cloth_predict.models.superquadric import GLOBAL, LOCAL
 from cloth_predict.observations import NodePositions
 from cloth_predict.types import (
     Belief,
@@ -95,7 +95,8 @@ class Decoupled:
         first = _Seen.of(belief, obs, z, belief.mean)
         after, nis = _updated(belief, first)
         for _ in range(1, self.iterations):
-            at = obs.body.admissible(after.mean)
+            at = after.mean.copy()
+            at[GLOBAL] = obs.body.admissible(at)[GLOBAL]
             after, _ = _updated(belief, _Seen.of(belief, obs, z, at))
         residual = z - obs.h(belief.mean)
         return after, Innovation(residual, first.spread(belief, obs.cov), nis)
