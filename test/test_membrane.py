@@ -43,6 +43,16 @@ def test_a_rigid_displacement_costs_its_size_alone():
     np.testing.assert_allclose(energy(Membrane(mesh, 0.1, 0.5), d), expected, rtol=1e-13)  # same
 
 
+def test_one_node_by_itself_costs_the_square_of_its_hat():
+    """A linear function from 1 at a corner to 0 has a square integral of a sixth of the area."""
+    mesh = ClosedMesh.even(4)
+    found = Membrane(mesh, 1.0, 0.0).matrix().diagonal()
+    a, b, c = np.moveaxis(mesh.directions[mesh.triangles], 1, 0)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    around = [areas[np.any(mesh.triangles == node, axis=1)].sum() for node in range(4)]
+    np.testing.assert_allclose(found, np.array(around) / 6, rtol=1e-14)  # rounding
+
+
 HARMONICS = {
     1: lambda x, y, z: z,
     2: lambda x, y, z: x * y,

@@ -401,6 +401,7 @@ def test_jacobians_of_the_first_order_equal_central_differences(held):
     motion = FirstOrder(body(**held), 0.5)
     q, _ = split(motion.body, random_state(motion.body))
     u = np.random.default_rng(2).normal(size=3 * NODES)
+    np.testing.assert_array_equal(motion.f(q, u) != 0.0, motion.body.moving)
     expected = central_differences(lambda y: motion.f(y, u), q, 1e-5)
     # the square of the step by third derivatives
     np.testing.assert_allclose(motion.jac(q, u).toarray(), expected, atol=1e-7)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from cloth_predict.errors import ConfigError
-from cloth_predict.models.air import Air
+from cloth_predict.models.air import Air, Normals
 from cloth_predict.types import FloatArray, IntArray, read_only
 
 GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
@@ -43,12 +43,20 @@ class ClosedMesh:
     @cached_property
     def shares(self) -> FloatArray:
         """Share of the unit sphere that belongs to each node, shape (N,); they add up to 1."""
-        area = Air(self.triangles, np.ones(len(self)), 0.0).at(self.directions).area
+        area = self.on_sphere.area
         return np.asarray(area / area.sum())
+
+    @cached_property
+    def on_sphere(self) -> Normals:
+        """Normals, areas and sides of the triangles between the nodes on the unit sphere."""
+        return self._at(self.directions)
 
     def normals(self, position: FloatArray) -> FloatArray:
         """Outward unit normals at the nodes of a surface [m], (N, 3), weighted by area."""
-        return Air(self.triangles, np.ones(len(self)), 0.0).at(position).unit
+        return self._at(position).unit
+
+    def _at(self, position: FloatArray) -> Normals:
+        return Air(self.triangles, np.ones(len(self)), 0.0).at(position)
 
     @classmethod
     def even(cls, nodes: int) -> ClosedMesh:

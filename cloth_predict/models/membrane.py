@@ -18,8 +18,7 @@ class Membrane:
 
     def __init__(self, mesh: ClosedMesh, w0: float, w1: float) -> None:
         self.triangles, self.nodes = mesh.triangles, len(mesh)
-        corner = mesh.directions[self.triangles]
-        opposite = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)
+        opposite = mesh.on_sphere.opposite
         area = np.linalg.norm(np.cross(opposite[:, 1], opposite[:, 2]), axis=1) / 2.0
         # The gradient of a hat function is its opposite side, turned, by twice the area.
         variation = np.einsum('tai,tbi->tab', opposite, opposite) / (4.0 * area)[:, None, None]
