@@ -11,6 +11,7 @@ from scipy import sparse
 from cloth_predict.models import rotation, superquadric_shape
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.linear_part import LinearPart, NormalModes, of_axes
+from cloth_predict.models.lumped_mass import lumped_mass
 from cloth_predict.models.membrane import Membrane
 from cloth_predict.models.superquadric_kinematics import (
     GLOBAL,
@@ -26,9 +27,6 @@ __all__ = ['GLOBAL', 'LOCAL', 'ROTATION', 'TRANSLATION', 'Superquadric']
 PULL = 1.0
 """Central pull on the quaternion [1/s^2]. It turns nothing, as R is made of theta / |theta|, and
 bounds the variance of the length, which no marker tells. Being linear it leaves F constant."""
-LIGHTEST = 0.1
-"""A parameter whose change by 1 moves the reference shape by less than this share of its size is
-given the mass of one that moves it so much: without a bend, b2 and b3 would have none."""
 
 
 class Superquadric:
@@ -74,7 +72,7 @@ class Superquadric:
         self.gravity = np.asarray(gravity, float)
         self.node_mass = mass * mesh.shares
         """Mass [kg] of each node, by its share of the unit sphere, shape (N,)."""
-        self.mass = self._lumped(reference)
+        self.mass = lumped_mass(self.node_mass, reference, mesh.coordinates)
         """Diagonal of M, shape (dim_q,)."""
         self.moving = np.ones(self.dim_q, bool)
         """Which coordinates move, shape (dim_q,)."""
@@ -253,20 +251,3 @@ class Superquadric:
         slowing = self.alpha * moving + self.beta * springs @ moving
         rows = [[None, moving], [-springs - sparse.diags_array(pull), -slowing]]
         return sparse.block_array(rows, format='csr')
-
-    def _lumped(self, reference: FloatArray) -> FloatArray:
-        shape = superquadric_shape.positions(reference, self.mesh.coordinates)
-        slopes = superquadric_shape.jacobian(reference, self.mesh.coordinates)
-        mass = np.sum(self.node_mass)
-        spread = self.node_mass @ np.sum(shape**2, axis=1)
-        parameters = np.einsum('n,nak->k', self.node_mass, slopes**2)
-        # trace(Q' I Q) = 4 trace(I) = 8 spread, over the three directions that turn
-        turning = 8.0 / 3.0 * spread
-        return np.concatenate(
-            [
-                np.full(3, mass),
-                np.full(4, turning),
-                np.maximum(parameters, LIGHTEST**2 * spread),
-                np.repeat(self.node_mass, 3),
-            ]
-        )
