@@ -84,6 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate.output_bag()
     simulate.add('--seed', type=whole, default=0)
     simulate.add('--duration', type=positive, default=12.0, metavar='S', help='length in seconds')
+    simulate.add('--unlabelled', action='store_true', help='the markers have no labels')
     convert = command('convert', _convert, 'turn a Motive CSV export into a bag')
     convert.add('file', type=Path)
     convert.output_bag()
@@ -121,7 +122,14 @@ def _parser() -> argparse.ArgumentParser:
 
 def _simulate(options: argparse.Namespace) -> None:
     with progress_bar(options.scenario, 's')(options.duration) as bar:
-        run.simulate(options.scenario, options.seed, options.duration, options.output, bar.update)
+        run.simulate(
+            options.scenario,
+            options.seed,
+            options.duration,
+            options.output,
+            bar.update,
+            not options.unlabelled,
+        )
     print(f'{options.output}: {options.scenario}, {options.duration:g} s, seed {options.seed}')
 
 

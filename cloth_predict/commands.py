@@ -47,10 +47,15 @@ Progress = Callable[[int, int], None]
 
 
 def simulate(
-    scenario: str, seed: int, duration: float, output: Path, progress: Callable[[float], None]
+    scenario: str,
+    seed: int,
+    duration: float,
+    output: Path,
+    progress: Callable[[float], None],
+    labelled: bool = True,
 ) -> None:
     """Make a recording with known truth and write it."""
-    write_recording(output, simulation.simulate(scenario, seed, duration, progress))
+    write_recording(output, simulation.simulate(scenario, seed, duration, progress, labelled))
 
 
 def convert(source: Path, output: Path) -> MarkerSequence:

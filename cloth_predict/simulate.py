@@ -11,17 +11,17 @@ from collections.abc import Callable
 import numpy as np
 from scipy import sparse
 
+from cloth_predict.filming import Progress, film, frame_stamps
 from cloth_predict.formats.bag import Recording, Truth
-from cloth_predict.integrators import RK4, ImplicitEuler, RungeKutta
+from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_springs
+from cloth_predict.simulate_bodies import balloon, insect, insect_labels
 from cloth_predict.surroundings import Air, Draught, Fan, Gusts, Rail
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
 AIR_DENSITY = 1.2
 """Density of air [kg/m^3]."""
-
-Progress = Callable[[float], None]
 
 
 class Scene:
@@ -142,17 +142,7 @@ def run(
 ) -> FloatArray:
     """Positions [m] of all nodes at times [s], (times, nodes, 3), by steps of at most `step`."""
     x = np.append(np.concatenate([start[scene.cloth.free].ravel(), np.zeros(scene.dim_x // 2)]), 0)
-    method = RungeKutta(RK4)
-    frames = [scene.positions(x)]
-    for duration in np.diff(times):
-        parts = int(np.ceil(duration / step - 1e-9))
-        for _ in range(parts):
-            x = method.step(scene, x, scene.hung, duration / parts)
-        if not np.isfinite(x).all():
-            raise FloatingPointError(f'the simulation diverges with a step of {step} s')
-        frames.append(scene.positions(x))
-        progress(float(duration))
-    return np.array(frames)
+    return film(scene, x, times, step, progress)
 
 
 def towel_fan(
@@ -186,7 +176,7 @@ def _filmed(
     scene: Scene, nodes: FloatArray, duration: float, progress: Progress, step: float
 ) -> Truth:
     """Let a towel go from where it hangs at rest."""
-    stamps = _stamps(duration)
+    stamps = frame_stamps(duration)
     start = settled(scene.cloth, scene.hung, nodes)
     surface = run(scene, start, stamps / 1e9, step, progress)
     return Truth(stamps, surface.reshape(-1, 17, 13, 3), marker_grid(17, 13, 4))
@@ -203,7 +193,7 @@ def falling_cloth(
     stiffness = {'structural': 300.0, 'shear': 300.0, 'flexion': 300.0}
     cloth = hung_cloth(shape, 441 * 0.025, stiffness, damping=0.08)
     nodes = shape.reshape(-1, 3)
-    stamps = _stamps(duration)
+    stamps = frame_stamps(duration)
     surface = run(Scene(cloth, 21, 21, nodes, None), nodes, stamps / 1e9, step, progress)
     return Truth(stamps, surface.reshape(-1, 21, 21, 3), marker_grid(21, 21, 5))
 
@@ -212,7 +202,11 @@ SCENARIOS: dict[str, Callable[[np.random.Generator, float, Progress], Truth]] = 
     'towel_fan': towel_fan,
     'crossing': crossing,
     'falling_cloth': falling_cloth,
+    'balloon': balloon,
+    'insect': insect,
 }
+LABELS: dict[str, Callable[[int], tuple[str, ...]]] = {'insect': insect_labels}
+"""How markers are called, where they belong to parts."""
 
 
 def marker_grid(rows: int, cols: int, every: int) -> IntArray:
@@ -223,26 +217,38 @@ def marker_grid(rows: int, cols: int, every: int) -> IntArray:
     return ids
 
 
+def numbered(markers: int) -> tuple[str, ...]:
+    """Label of each marker of one surface."""
+    return tuple(f'cloth:{i}' for i in range(markers))
+
+
+def unlabelled(markers: int) -> tuple[str, ...]:
+    """Names of markers that the mocap system did not identify."""
+    return tuple(f'Unlabeled {i}' for i in range(markers))
+
+
 def measure(
-    truth: Truth, rng: np.random.Generator, noise: float = 3e-4, dropout: float = 0.02
+    truth: Truth,
+    rng: np.random.Generator,
+    noise: float = 3e-4,
+    dropout: float = 0.02,
+    labels: Callable[[int], tuple[str, ...]] = numbered,
 ) -> MarkerSequence:
     """Markers as a mocap system would see them: noise [m] on each coordinate, markers left out."""
     nodes = np.flatnonzero(truth.ids.ravel() >= 0)
     exact = truth.surface.reshape(len(truth.stamps), -1, 3)[:, nodes]
-    labels = tuple(f'cloth:{i}' for i in range(len(nodes)))
     visible = rng.random(exact.shape[:2]) >= dropout
     visible[0] = True  # a take starts with every marker in view
     positions = exact + rng.normal(0.0, noise, exact.shape)
     positions[~visible] = np.nan
-    return MarkerSequence(truth.stamps, labels, positions, visible)
+    return MarkerSequence(truth.stamps, labels(len(nodes)), positions, visible)
 
 
-def simulate(scenario: str, seed: int, duration: float, progress: Progress) -> Recording:
+def simulate(
+    scenario: str, seed: int, duration: float, progress: Progress, labelled: bool = True
+) -> Recording:
     """Make a recording with its truth; the same seed gives the same recording."""
     wind_rng, sensor_rng = np.random.default_rng(seed).spawn(2)
     truth = SCENARIOS[scenario](wind_rng, duration, progress)
-    return Recording(measure(truth, sensor_rng), truth)
-
-
-def _stamps(duration: float, rate: int = 100) -> IntArray:
-    return np.arange(round(duration * rate) + 1, dtype=np.int64) * (10**9 // rate)
+    labels = LABELS.get(scenario, numbered) if labelled else unlabelled
+    return Recording(measure(truth, sensor_rng, labels=labels), truth)
