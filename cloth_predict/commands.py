@@ -22,10 +22,11 @@ from cloth_predict.errors import (
     FormatError,
     FrameError,
 )
+from cloth_predict.evaluation.bodies import methods_of
 from cloth_predict.evaluation.cases import case_of, split
 from cloth_predict.evaluation.compare import Evaluation, compare, pooled
 from cloth_predict.evaluation.degrade import NOTHING, Degradation, degraded
-from cloth_predict.evaluation.predictors import Make, methods
+from cloth_predict.evaluation.predictors import Make
 from cloth_predict.evaluation.projection import Compensation
 from cloth_predict.evaluation.projection import project as light
 from cloth_predict.evaluation.projection_report import report as report_projection
@@ -134,7 +135,7 @@ class Ladder:
             if 'all' not in self.filters:
                 raise ConfigError(lack)
             warnings.warn(lack, ClothPredictWarning, stacklevel=2)
-        return methods(kind for kind, lack in lacks.items() if not lack)
+        return methods_of(config, [kind for kind, lack in lacks.items() if not lack])
 
 
 def evaluate(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from cloth_predict.evaluation.cases import Case
+from cloth_predict.evaluation.cases import Case, in_order
 from cloth_predict.formats.bag import Truth
 from cloth_predict.projection.pinhole import Pinhole
 from cloth_predict.projection.scan import Scan
@@ -122,15 +122,11 @@ class TrueSurface:
         vertices = Path.of(case.reference.markers)
         if truth is None:
             return cls(vertices, vertices, triangles)
-        frames, rows, cols = truth.surface.shape[:3]
-        _, first = np.unique(truth.stamps, return_index=True)
-        names = tuple(map(str, range(rows * cols)))
-        position = truth.surface.reshape(frames, -1, 3)[first]
-        everything = np.ones(position.shape[:2], bool)
-        mesh = MarkerSequence(truth.stamps[first], names, position, everything)
+        rows, cols = truth.ids.shape
         ends = truth.ids.ravel()[[0, -1]] == [0, truth.ids.max()]
         grid = (rows, cols) if ends.all() else None
-        return cls(vertices, Path.of(mesh), grid_triangles(rows, cols), grid)
+        mesh = Path.of(in_order(truth.nodes()))
+        return cls(vertices, mesh, grid_triangles(rows, cols), grid)
 
     def drawn(self, begin: float, pinhole: Pinhole, scan: Scan, field: int) -> Draw:
         """When a field of the frame that begins at `begin` [s] meets each vertex.

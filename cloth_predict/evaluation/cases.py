@@ -9,6 +9,7 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.errors import FormatError
+from cloth_predict.evaluation.bodies import by_surface
 from cloth_predict.formats.bag import Recording
 from cloth_predict.markers.association import markers_of_nodes
 from cloth_predict.tracker import NANOSECONDS, NO_POINTS, Tracker
@@ -22,11 +23,13 @@ Points = tuple[FloatArray, ...]
 class Reference:
     """Where the nodes really are; the stamps increase strictly.
 
-    noise [m]: standard deviation of a coordinate; zero of the truth.
+    noise [m]: standard deviation of a coordinate; zero of the truth. surface: whether these are
+    points of the surface that are no nodes, each to be compared with what is nearest to it.
     """
 
     markers: MarkerSequence
     noise: float
+    surface: bool = False
 
     @property
     def true(self) -> bool:
@@ -96,6 +99,8 @@ def case_of(recording: Recording, config: Config, source: str) -> Case:
     its association makes the labels that other methods need, and the measurement to compare with.
     """
     markers, strangers = split(recording.markers, config, source)
+    if by_surface(config):
+        return _body_case(recording, markers, strangers, config, source)
     truth = _truth(recording, markers, source) if recording.truth else None
     keep = _in_reach(markers.stamps, config)
     points = points_of(frames_of(strangers, keep))
@@ -104,6 +109,32 @@ def case_of(recording: Recording, config: Config, source: str) -> Case:
     found = relabelled(frames_of(markers, keep), points, config, source)
     case = labelled_case(found, config, source, truth)
     return replace(case, labelled=~case.labelled, points=points)
+
+
+def _body_case(
+    recording: Recording,
+    markers: MarkerSequence,
+    strangers: MarkerSequence,
+    config: Config,
+    source: str,
+) -> Case:
+    """Return a recording of a body, of which every marker is a point of its surface.
+
+    What is true are all nodes that were simulated, or else the markers themselves. Markers without
+    a label come after the nodes, where none has one.
+    """
+    named = markers.visible.any()
+    if recording.truth is not None:
+        seen, noise = recording.truth.nodes(), 0.0
+    else:
+        shown = markers.select(np.flatnonzero(markers.visible.any(axis=0)))
+        seen, noise = shown.beside(strangers), config.filter.measurement_noise
+    every = markers if named else markers.beside(strangers)
+    case = labelled_case(every, config, source)
+    points = points_of(frames_of(strangers, _in_reach(markers.stamps, config)))
+    labelled = case.labelled & bool(named)
+    reference = Reference(in_order(seen), noise, surface=True)
+    return replace(case, labelled=labelled, points=points, reference=reference)
 
 
 def labelled_case(

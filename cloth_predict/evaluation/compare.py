@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from cloth_predict.config import Config
+from cloth_predict.errors import ConfigError
 from cloth_predict.evaluation.baselines import best_noise
+from cloth_predict.evaluation.bodies import methods_of
 from cloth_predict.evaluation.cases import Case, labelled_case
 from cloth_predict.evaluation.judging import Judged, judge
-from cloth_predict.evaluation.predictors import Make, methods
+from cloth_predict.evaluation.predictors import Make
 from cloth_predict.evaluation.runs import Progress, follow
 from cloth_predict.metrics import (
     Details,
@@ -30,7 +32,7 @@ from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence
 
 SEED = 0
 """Of the bootstrap; the same frames are drawn for every method."""
-KINEMATIC = ('kf_cv', 'kf_ca')
+KINEMATIC = ('kf_cv', 'kf_ca', 'rigid')
 """What a method has to beat: the better of these."""
 POOLED = 'all'
 
@@ -126,9 +128,14 @@ def compare(
     """Run every method over a recording and judge its predictions at each horizon [s].
 
     Without makers, the methods are the baselines and the tracker of the configuration. search:
-    whether the kinematic filters get the noise that serves them best.
+    whether the kinematic filters get the noise that serves them best. Raises ConfigError where
+    there are none of them.
     """
-    makers = methods([config.filter.kind]) if makers is None else makers
+    if search and case.reference.surface:
+        raise ConfigError(
+            f'{case.name}: no kinematic filter follows a body without markers at its nodes'
+        )
+    makers = methods_of(config, [config.filter.kind]) if makers is None else makers
     choices = best_noise(case, config, horizons) if search else {}
     runs = {
         name: [choice.run for choice in choices[name]]
@@ -160,7 +167,7 @@ def summed(
     noise: Mapping[str, float] | None = None,
 ) -> Evaluation:
     """Sum up what was counted."""
-    free = free_markers(config)
+    free = np.ones(judged.speed.shape[1], bool) if judged.surface else free_markers(config)
     parts = {name: judged.parts(name) for name in judged.answers}
     scores = {name: score(part, free, np.random.default_rng(SEED)) for name, part in parts.items()}
     of_free = {name: [(e[:, free], block) for e, block in part] for name, part in parts.items()}
@@ -182,8 +189,9 @@ def _details(judged: Judged, name: str, free: BoolArray) -> Details:
     error = said.errors[:, free]
     sigma = np.hypot(said.sigma[:, free], judged.noise[:, None])
     sigma = np.where(np.isfinite(error), sigma, nan)
+    off = said.errors[..., None] if judged.surface else said.predicted - judged.actual
     return Details(
-        coverage((said.predicted - judged.actual)[:, free], sigma),
+        coverage(off[:, free], sigma),
         mean(said.nis),
         mean(said.nees[:, free]),
         by_speed(error, judged.speed[:, free]),

@@ -12,13 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cloth_predict.config import ModelConfig
+from cloth_predict.errors import ConfigError
 from cloth_predict.evaluation.compare import Evaluation
+from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.surface.assembly import topology_of
 from cloth_predict.types import FloatArray, IntArray
 
 mpl.use('Agg')
 
-BASELINES = {'hold': '0.6', 'kf_cv': 'tab:blue', 'kf_ca': 'tab:cyan'}
+BASELINES = {'hold': '0.6', 'kf_cv': 'tab:blue', 'kf_ca': 'tab:cyan', 'rigid': 'tab:blue'}
 OTHERS = (
     'tab:red', 'tab:orange', 'tab:green', 'tab:purple', 'tab:brown', 'tab:pink', 'tab:olive', 'k',
 )  # fmt: skip
@@ -194,13 +196,23 @@ def snapshots(evaluation: Evaluation, edges: IntArray, path: Path, count: int = 
 def edges_of(model: ModelConfig, frames: FloatArray) -> IntArray:
     """Edges to draw, shape (edges, 2), of nodes [m], shape (frames, nodes, 3).
 
-    What is triangulated is the median of the frames, and nothing where a node was never seen.
+    What is triangulated is the median of the frames, and nothing where a node was never seen; the
+    points of a body are joined as they surround its middle, if they do.
     """
-    if model.topology != 'delaunay':
+    if model.topology not in ('delaunay', 'closed'):
         return topology_of(model, frames[0]).edges
     if not np.isfinite(frames).all(axis=2).any(axis=0).all():
         return np.zeros((0, 2), np.int64)
-    return topology_of(model, np.nanmedian(frames, axis=0)).edges
+    usual = np.nanmedian(frames, axis=0)
+    if model.topology == 'delaunay':
+        return topology_of(model, usual).edges
+    try:
+        mesh = ClosedMesh.through(usual, usual.mean(axis=0), np.eye(3), np.ones(3))
+    except ConfigError:
+        return np.zeros((0, 2), np.int64)
+    # each side of a closed mesh is that of two triangles, and goes up in one of them
+    sides = mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    return np.asarray(sides[sides[:, 0] < sides[:, 1]])
 
 
 def _draw_mesh(

@@ -88,7 +88,8 @@ class Judged:
     actual [m], (frames, markers, 3), speed [m/s], (frames, markers), and noise [m], (frames,), of
     a coordinate of `actual`; answers, by method; asked: number of predictions that were to be
     made; given: number of frames that were given; lengths: frames counted of each recording;
-    blocks: frames in each of its blocks.
+    blocks: frames in each of its blocks; surface: whether what is predicted is the nearest place
+    of a surface (`Reference.surface`).
     """
 
     start: int
@@ -101,6 +102,7 @@ class Judged:
     given: int
     lengths: tuple[int, ...]
     blocks: tuple[int, ...]
+    surface: bool = False
 
     def parts(self, method: str) -> list[Part]:
         """Errors of each recording, and frames of its blocks."""
@@ -128,6 +130,7 @@ class Judged:
             sum(one.given for one in judged),
             tuple(length for one in judged for length in one.lengths),
             tuple(block for one in judged for block in one.blocks),
+            judged[0].surface,
         )
 
 
@@ -180,6 +183,7 @@ def judge(
         len(stamps),
         (len(targets),),
         (max(round(BLOCK * NANOSECONDS / interval), 1),),
+        reference.surface,
     )
 
 

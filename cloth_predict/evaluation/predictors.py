@@ -14,18 +14,21 @@ from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
 from cloth_predict.filters.kinematic import POLYNOMIALS
 from cloth_predict.filters.kinematic_bank import KinematicBank
+from cloth_predict.surface.topology import NO_TRIANGLES
 from cloth_predict.tracker import NANOSECONDS, NO_POINTS, Tracker
-from cloth_predict.types import BoolArray, FloatArray
+from cloth_predict.types import BoolArray, FloatArray, IntArray, Surface
 
 
 class Predicted(NamedTuple):
     """Where markers will be: position [m], shape (markers, 3), NaN where unknown.
 
     sigma [m], shape (markers,): standard deviation of a coordinate, NaN where the method has none.
+    triangles, shape (t, 3), between them, where they are nodes of a surface.
     """
 
     position: FloatArray
     sigma: FloatArray
+    triangles: IntArray = NO_TRIANGLES
 
     @classmethod
     def unknown(cls, markers: int) -> Predicted:
@@ -186,14 +189,22 @@ class Kinematic:
 
 
 class Tracked:
-    """The tracker, with the filter of the configuration or one of another kind."""
+    """The tracker, with the filter of the configuration or one of another kind.
+
+    ahead: what it says of the time to come, in place of its prediction.
+    """
 
     associates = True
 
-    def __init__(self, config: Config, kind: str | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        kind: str | None = None,
+        ahead: Callable[[Tracker, float], Surface] = Tracker.predict,
+    ) -> None:
         if kind is not None:
             config = replace(config, filter=replace(config.filter, kind=kind))
-        self._tracker = Tracker(config)
+        self._tracker, self._ahead = Tracker(config), ahead
 
     @property
     def counts(self) -> Counter[str]:
@@ -207,8 +218,9 @@ class Tracked:
         visible: BoolArray,
         points: FloatArray = NO_POINTS,
     ) -> float:
-        """Take a frame."""
-        learnt = self._tracker.step(stamp, positions, visible, points).innovation
+        """Take a frame; markers beyond the nodes are no nodes."""
+        nodes = self._tracker.nodes
+        learnt = self._tracker.step(stamp, positions[:nodes], visible[:nodes], points).innovation
         if learnt is None or not learnt.residual.size:
             return nan
         return learnt.nis / len(learnt.residual)
@@ -216,10 +228,10 @@ class Tracked:
     def predict(self, horizon: float) -> Predicted:
         """Return what the tracker predicts; unknown where it does not."""
         try:
-            surface = self._tracker.predict(horizon)
+            surface = self._ahead(self._tracker, horizon)
         except FrameError:
             return Predicted.unknown(self._tracker.nodes)
-        return Predicted(surface.position, surface.sigma)
+        return Predicted(surface.position, surface.sigma, self._tracker.triangles)
 
     def estimate(self) -> Estimated:
         """Return what the tracker estimates; unknown where it does not."""
@@ -240,13 +252,13 @@ BASELINES: dict[str, Make] = {
 """What every filter is compared with; a new method is one entry."""
 
 
-def methods(kinds: Iterable[str]) -> dict[str, Make]:
+def methods(kinds: Iterable[str], baselines: Mapping[str, Make] = BASELINES) -> dict[str, Make]:
     """Return the baselines, and the tracker with each of these kinds of filter by its name."""
 
     def tracked(kind: str) -> Make:
         return lambda config: Tracked(config, kind)
 
-    return {**BASELINES, **{kind: tracked(kind) for kind in kinds}}
+    return {**baselines, **{kind: tracked(kind) for kind in kinds}}
 
 
 METHODS = methods(['ekf'])

@@ -10,10 +10,12 @@ from math import nan
 
 import numpy as np
 
-from cloth_predict.evaluation.cases import Case
+from cloth_predict.evaluation.bodies import on_surface
+from cloth_predict.evaluation.cases import Case, Reference
 from cloth_predict.evaluation.predictors import Predictor
 from cloth_predict.metrics import at_times, normalised
-from cloth_predict.types import FloatArray
+from cloth_predict.tracking.motion import NANOSECONDS
+from cloth_predict.types import FloatArray, IntArray
 
 Progress = Callable[[int], None]
 
@@ -44,7 +46,9 @@ def follow(
 ) -> list[Run]:
     """Let a method follow the markers and predict after each frame; a run for each horizon."""
     rows = {int(k): row for row, k in enumerate(np.flatnonzero(case.ahead))}
-    size, nodes = (len(horizons), len(rows)), case.markers.visible.shape[1]
+    stamps = case.markers.stamps[case.ahead]
+    aims = [aimed_at(case.reference, stamps, horizon) for horizon in horizons]
+    size, nodes = (len(horizons), len(rows)), case.reference.markers.visible.shape[1]
     position, sigma = np.empty((*size, nodes, 3)), np.empty((*size, nodes))
     nis, nees = np.full(size[1], nan), np.full((size[1], nodes), nan)
     truth, seconds = _truth(case), np.zeros(len(horizons))
@@ -59,8 +63,11 @@ def follow(
         nis[row] = learnt
         for i, horizon in enumerate(horizons):
             begin = time.perf_counter()
-            position[i, row], sigma[i, row] = predictor.predict(horizon)
+            predicted = predictor.predict(horizon)
             seconds[i] += time.perf_counter() - begin
+            if case.reference.surface:
+                predicted = on_surface(predicted, aims[i][row])
+            position[i, row], sigma[i, row] = predicted.position, predicted.sigma
         if truth is not None:
             now = predictor.estimate()
             nees[row] = normalised(now.position - truth[k], now.covariance)
@@ -72,8 +79,19 @@ def follow(
 
 
 def _truth(case: Case) -> FloatArray | None:
-    """Return the true positions [m] at each frame, NaN where not known; None without the truth."""
-    if not case.reference.true:
+    """Return the true positions [m] at each frame, NaN where not known; None without the truth.
+
+    What is known of a surface that moves along itself is not where each point of it is.
+    """
+    if case.reference.surface or not case.reference.true:
         return None
-    positions, known = at_times(case.reference.markers, case.markers.stamps)
+    return aimed_at(case.reference, case.markers.stamps, 0.0)
+
+
+def aimed_at(reference: Reference, stamps: IntArray, horizon: float) -> FloatArray:
+    """Where the reference is [m] `horizon` [s] after each stamp [ns], NaN where not known.
+
+    Shape (frames, markers, 3).
+    """
+    positions, known = at_times(reference.markers, stamps + round(horizon * NANOSECONDS))
     return np.where(known[..., None], positions, nan)

@@ -65,6 +65,12 @@ class Truth:
         visible = np.ones(positions.shape[:2], bool)
         return MarkerSequence(self.stamps, like.labels, positions, visible, like.frame_id)
 
+    def nodes(self) -> MarkerSequence:
+        """Return the true positions of all nodes, each named by its number."""
+        positions = self.surface.reshape(len(self.stamps), -1, 3)
+        names = tuple(map(str, range(positions.shape[1])))
+        return MarkerSequence(self.stamps, names, positions, np.ones(positions.shape[:2], bool))
+
 
 @dataclass(frozen=True)
 class Recording:

@@ -32,8 +32,9 @@ class Match:
 def markers_of_nodes(sequence: MarkerSequence, config: Config, source: str) -> MarkerSequence:
     """Put a recording's markers in node order, as chosen by the parameter `labels`.
 
-    Without `labels` the order of the recording is that of the nodes. Raises FormatError naming the
-    recording and the label or the two sizes that do not fit.
+    Without `labels` the order of the recording is that of the nodes; a body, which finds a node
+    for each label, may have fewer of them. Raises FormatError naming the recording and the label
+    or the two sizes that do not fit.
     """
     if sequence.frame_id not in ('', config.frame):
         raise FormatError(
@@ -44,8 +45,10 @@ def markers_of_nodes(sequence: MarkerSequence, config: Config, source: str) -> M
         sequence = choose(sequence, config.labels, source)
     nodes = config.model.count
     labelled = np.flatnonzero(~sequence.unlabelled)
-    if not config.labels and len(labelled) == nodes:
+    if not config.labels and (len(labelled) == nodes or config.model.is_body):
         sequence = sequence.select(labelled)  # others in view are left out
+    if config.model.is_body and len(sequence.labels) < nodes:
+        sequence = sequence.beside(_hidden(sequence, nodes - len(sequence.labels)))
     if len(sequence.labels) != nodes:
         raise FormatError(
             f'{source}: {len(sequence.labels)} markers ({_listed(sequence.labels)}) do not fit '
@@ -53,6 +56,14 @@ def markers_of_nodes(sequence: MarkerSequence, config: Config, source: str) -> M
             f'parameter labels'
         )
     return sequence
+
+
+def _hidden(like: MarkerSequence, count: int) -> MarkerSequence:
+    """As many markers that are never seen."""
+    names = tuple(f'hidden {k}' for k in range(count))
+    visible = np.zeros((len(like), count), bool)
+    positions = np.full((*visible.shape, 3), np.nan)
+    return MarkerSequence(like.stamps, names, positions, visible, like.frame_id)
 
 
 def choose(sequence: MarkerSequence, labels: tuple[str, ...], source: str) -> MarkerSequence:
