@@ -1,7 +1,5 @@
 """Bodies are judged by the distance from the surface that is predicted."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -162,20 +160,6 @@ def test_coverage_is_that_of_the_distance(compared):
     assert compared.details['decoupled'].coverage == pytest.approx(expected)
     assert compared.details['rigid'].coverage is None
     assert np.isnan(compared.details['decoupled'].nees)
-
-
-def test_a_filter_that_sees_nothing_predicts_nothing():
-    recording = sliding_ball()
-    hidden = replace(
-        recording.markers,
-        visible=recording.markers.visible & (np.arange(125) < 110)[:, None],
-    )
-    gone = replace(hidden, positions=np.where(hidden.visible[..., None], hidden.positions, np.nan))
-    strict = config(limits={'sigma_warn': 1e-3, 'sigma_error': 2e-3})
-    case = case_of(replace(recording, markers=gone), strict, 'ball')
-    makers = {'decoupled': methods_of(strict, ['decoupled'])['decoupled']}
-    (found,) = compare(case, strict, [0.05], makers)
-    assert found.judged.share('decoupled') < 1
 
 
 def test_there_is_no_best_noise_of_what_does_not_follow_a_body():
