@@ -9,15 +9,15 @@ then dropped. Of all beliefs without them that is the nearest one (Kullback & Le
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from cloth_predict.exponential import ExponentialTangent
 from cloth_predict.filters.ahead import run_ahead
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
-from cloth_predict.filters.linear import condition, of_groups, symmetric
+from cloth_predict.filters.linear import of_groups, symmetric
+from cloth_predict.filters.node_update import Seen, updated
 from cloth_predict.models.superquadric import GLOBAL, LOCAL
 from cloth_predict.observations import NodePositions
 from cloth_predict.types import (
@@ -83,121 +83,23 @@ class Decoupled:
     def update(
         self, belief: BlockGaussian, obs: Observation, z: FloatArray
     ) -> tuple[BlockGaussian, Innovation]:
-        """Belief given z, shape (3m,), of `NodePositions`, at a cost linear in the markers.
+        """Belief given z, of markers at nodes at a cost linear in their number.
 
-        What is learnt is told by the first linearisation. Raises ValueError where the observation
-        is another one, FloatingPointError where a variance is not positive.
+        What is learnt is told by the first linearisation. Raises as `Seen.of` and `updated`.
         """
-        if not isinstance(obs, NodePositions):
-            raise ValueError('this filter takes positions of nodes of a body')
         if not len(z):
             return belief, Innovation(z, np.zeros((0, 0)), 0.0)
-        first = _Seen.of(belief, obs, z, belief.mean)
-        after, nis = _updated(belief, first)
+        first = Seen.of(belief, obs, z, belief.mean)
+        after, nis = updated(belief, first)
         for _ in range(1, self.iterations):
-            at = after.mean.copy()
-            at[GLOBAL] = obs.body.admissible(at)[GLOBAL]
-            after, _ = _updated(belief, _Seen.of(belief, obs, z, at))
+            at = after.mean
+            if isinstance(obs, NodePositions):
+                at = np.concatenate(
+                    [at[: GLOBAL.start], obs.body.admissible(at)[GLOBAL], at[LOCAL:]]
+                )
+            after, _ = updated(belief, Seen.of(belief, obs, z, at))
         residual = z - obs.h(belief.mean)
         return after, Innovation(residual, first.spread(belief, obs.cov), nis)
-
-
-class _Seen(NamedTuple):
-    """Markers of n nodes, as a measurement that is linear in the state: of each node the mean.
-
-    nodes, shape (n,); which, shape (markers,): of them each marker has; residual at the mean of
-    the belief, shape (n, 3), and variance, shape (n, 3); shared, shape (n, 3, g), and own, shape
-    (3, 3): the derivatives by the shared states and by a node's displacement; apart: the markers'
-    normalised squared distances from the means.
-    """
-
-    nodes: IntArray
-    which: IntArray
-    residual: FloatArray
-    variance: FloatArray
-    shared: FloatArray
-    own: FloatArray
-    apart: float
-
-    @classmethod
-    def of(cls, belief: BlockGaussian, obs: NodePositions, z: FloatArray, at: FloatArray) -> _Seen:
-        """Linearise at a state."""
-        blocks, shift = belief.blocks, belief.mean - at
-        nodes, which = np.unique(obs.nodes, return_inverse=True)
-        residual, weight = (z - obs.h(at)).reshape(-1, 3), 1.0 / obs.cov.reshape(-1, 3)
-        total, pooled = np.zeros((2, len(nodes), 3))
-        np.add.at(total, which, weight)
-        np.add.at(pooled, which, weight * residual)
-        pooled /= total
-        apart = float((weight * (residual - pooled[which]) ** 2).sum())
-        seen = replace(obs, nodes=nodes)
-        if len(blocks.own):
-            by_coordinates, own = seen.parts(at)
-            shared = np.zeros((len(nodes), 3, len(blocks.shared)))
-            shared[:, :, :LOCAL] = by_coordinates
-            pooled -= shift[blocks.own[nodes, :3]] @ own.T
-        else:
-            own, shared = np.zeros((3, 3)), seen.jac(at)[:, blocks.shared]
-            shared = shared.reshape(len(nodes), 3, -1)
-        pooled -= shared @ shift[blocks.shared]
-        return cls(nodes, which, pooled, 1.0 / total, shared, own, apart)
-
-    def by_own(self, belief: BlockGaussian) -> FloatArray:
-        """Covariance of the nodes' places, as their displacements make them, with their states.
-
-        Shape (n, 3, m).
-        """
-        if not len(belief.own):
-            return np.zeros((len(self.nodes), 3, belief.own.shape[1]))
-        return np.asarray(self.own @ belief.own[self.nodes, :3])
-
-    def spread(self, belief: BlockGaussian, noise: FloatArray) -> FloatArray:
-        """Covariance S of the markers' residuals, shape (3m, 3m), of noise variances, (3m,)."""
-        number, shared = len(self.which), self.shared[self.which]
-        rows = shared.reshape(3 * number, -1)
-        total = rows @ belief.shared @ rows.T + np.diag(noise)
-        i, j = np.nonzero(self.which[:, None] == self.which)
-        places = self.by_own(belief)[:, :, :3] @ self.own.T
-        total.reshape(number, 3, number, 3)[i, :, j] += places[self.which[i]]
-        return total
-
-
-def _updated(belief: BlockGaussian, seen: _Seen) -> tuple[BlockGaussian, float]:
-    """Belief given what is seen, and the normalised innovation squared.
-
-    To the shared states the displacements of the nodes are noise: D = V + R P R' of each node
-    whitens its rows, a triangular factor says the same as all of them in g rows. Given the shared
-    states each node is updated by itself; what is not known of them adds to its covariance.
-    """
-    blocks, cross = belief.blocks, seen.by_own(belief)
-    noise = seen.variance[:, :, None] * np.eye(3) + cross[:, :, :3] @ seen.own.T
-    white = np.linalg.inv(_roots(noise))
-    gain_root, rows = white @ cross, white @ seen.shared
-    residual = (white @ seen.residual[:, :, None])[:, :, 0]
-    size = len(blocks.shared)
-    stacked = np.column_stack([rows.reshape(-1, size), residual.ravel()])
-    factor = np.asarray(np.linalg.qr(stacked, mode='r'))
-    prior = Gaussian(np.zeros(size), belief.shared)
-    told = factor[:size]
-    found, learnt = condition(prior, told[:, :size], np.ones(len(told)), told[:, size])
-    mean, own = belief.mean.copy(), belief.own.copy()
-    mean[blocks.shared] += found.mean
-    if len(own):
-        left = residual - rows @ found.mean
-        mean[blocks.own[seen.nodes]] += (gain_root.transpose(0, 2, 1) @ left[:, :, None])[:, :, 0]
-        follow = gain_root.transpose(0, 2, 1) @ rows
-        own[seen.nodes] -= gain_root.transpose(0, 2, 1) @ gain_root
-        own[seen.nodes] += symmetric(follow @ found.cov @ follow.transpose(0, 2, 1))
-    nis = learnt.nis + float((factor[size:, size] ** 2).sum()) + seen.apart
-    return blocks.belief(mean, found.cov, own), nis
-
-
-def _roots(noise: FloatArray) -> FloatArray:
-    """Lower triangular roots, (n, 3, 3). Raises FloatingPointError where there is none."""
-    try:
-        return np.asarray(np.linalg.cholesky(noise))
-    except np.linalg.LinAlgError:
-        raise FloatingPointError('the innovation covariance is not positive definite') from None
 
 
 def _by_modes(
