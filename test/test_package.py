@@ -95,7 +95,8 @@ ONLY = {
     'errors': {'types', 'errors'},
     'config': {'types', 'errors', 'config'},
     'models': {'types', 'errors', 'models'},
-    'integrators': {'types', 'errors', 'models'},
+    'exponential': {'types', 'errors', 'models'},
+    'integrators': {'types', 'errors', 'models', 'exponential'},
     'observations': {'types', 'errors', 'models'},
 }
 ABOVE = {'identification', 'experiments'}
