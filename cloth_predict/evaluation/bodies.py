@@ -22,7 +22,7 @@ from cloth_predict.types import FloatArray, Surface
 
 def by_surface(config: Config) -> bool:
     """Whether predictions are compared with points of the surface, and not node by node."""
-    return config.model.is_body and config.body.mesh == 'even'
+    return config.model.is_body and not config.nodes_are_markers
 
 
 def on_surface(predicted: Predicted, actual: FloatArray) -> Predicted:

@@ -67,7 +67,7 @@ def skin_of(config: Config, position: FloatArray, pinhole: Pinhole) -> Skin:
 
 def _mesh_of(config: Config, position: FloatArray) -> ClosedMesh:
     """Mesh of a body; where its nodes are at markers, which are seen first here, through them."""
-    if config.body.mesh == 'even':
+    if not config.nodes_are_markers:
         return ClosedMesh.even(config.model.nodes)
     try:
         return ClosedMesh.through(position, position.mean(axis=0), np.eye(3), np.ones(3))
