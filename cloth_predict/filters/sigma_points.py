@@ -34,12 +34,14 @@ class SigmaPointFilter:
     of the mean cost digits, where here all sums are of differences to the first point.
 
     No derivative is needed, but every `predict` takes one step of the model per point: with 16
-    free nodes and smooth forces n = 192, so 385 steps in place of the EKF's one.
+    free nodes and smooth forces n = 192, so 385 steps in place of the EKF's one. Where model and
+    integrator take states of shape (points, dim_x), one step takes them all `together`.
     """
 
     integrator: Integrator
     alpha: float
     beta: float
+    together: bool = False
 
     def start(self, prior: Gaussian, model: Dynamics, u: FloatArray, q: FloatArray) -> Gaussian:
         """Belief before the first measurement: the prior."""
@@ -57,12 +59,14 @@ class SigmaPointFilter:
         half = 0.5 * dt * q
         wider = spread(belief.cov, half)
         points, mean_weights, cov_weights = self.points(belief.mean, wider)
-        moved = np.array([self.integrator.step(model, point, u, dt) for point in points])
-        offset = moved - moved[0]
-        shift = mean_weights @ offset
-        centred = offset - shift
-        cov = symmetric((cov_weights[:, None] * centred).T @ centred)
-        return Gaussian(moved[0] + shift, spread(cov, half))
+        mean, cov = moments(self._moved(model, points, u, dt), mean_weights, cov_weights)
+        return Gaussian(mean, spread(cov, half))
+
+    def _moved(self, model: Dynamics, points: FloatArray, u: FloatArray, dt: float) -> FloatArray:
+        """Points after a step of dt [s], shape (points, dim_x)."""
+        if self.together:
+            return self.integrator.step(model, points, u, dt)
+        return np.array([self.integrator.step(model, point, u, dt) for point in points])
 
     def points(
         self, mean: FloatArray, cov: FloatArray
@@ -95,3 +99,13 @@ class SigmaPointFilter:
     ) -> tuple[FloatArray, FloatArray]:
         """Mean and covariances of `rows` after one step of dt [s] per input, each by `predict`."""
         return run_ahead(self, belief, model, inputs, q, dt, rows)
+
+
+def moments(
+    points: FloatArray, mean_weights: FloatArray, cov_weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mean, shape (m,), and covariance, (m, m), of weighted points, shape (points, m)."""
+    offset = points - points[0]
+    shift = mean_weights @ offset
+    centred = offset - shift
+    return points[0] + shift, symmetric((cov_weights[:, None] * centred).T @ centred)
