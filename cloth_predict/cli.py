@@ -31,7 +31,7 @@ from cloth_predict.command_line.options import (
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
 from cloth_predict.evaluation import report
 from cloth_predict.evaluation.degrade import Degradation
-from cloth_predict.filters.family import FILTERS
+from cloth_predict.filters.family import KINDS
 from cloth_predict.performance import one_core
 from cloth_predict.share import find
 from cloth_predict.simulate import SCENARIOS
@@ -99,9 +99,9 @@ def _parser() -> argparse.ArgumentParser:
         '--filters',
         nargs='+',
         default=[],
-        choices=[*FILTERS, 'all'],
+        choices=[*KINDS, 'all'],
         metavar='KIND',
-        help=f'filters to compare: {", ".join(FILTERS)}, or all; default: the configured one',
+        help=f'filters to compare: {", ".join(KINDS)}, or all; default: the configured one',
     )
     evaluate.add(
         '--best-baselines',

@@ -31,7 +31,7 @@ from cloth_predict.evaluation.projection import Compensation
 from cloth_predict.evaluation.projection import project as light
 from cloth_predict.evaluation.projection_report import report as report_projection
 from cloth_predict.evaluation.report import report
-from cloth_predict.filters.family import FILTERS
+from cloth_predict.filters.family import kinds_of
 from cloth_predict.formats.bag import BagWriter, create_bag, write_recording
 from cloth_predict.formats.calibration_file import DeviceCalibration, write_calibration
 from cloth_predict.formats.files import make_folder
@@ -129,7 +129,7 @@ class Ladder:
         Raises ConfigError for a filter that does not work with the configuration; of all filters
         it leaves those out, with a warning.
         """
-        kinds = FILTERS if 'all' in self.filters else self.filters or [config.filter.kind]
+        kinds = kinds_of(config) if 'all' in self.filters else self.filters or [config.filter.kind]
         lacks = {kind: configuration.misfit(config, kind) for kind in kinds}
         for lack in filter(None, lacks.values()):
             if 'all' not in self.filters:

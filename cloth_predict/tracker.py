@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from cloth_predict.bodies.follower import BodyFollower
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
 from cloth_predict.surface.topology import NO_TRIANGLES
@@ -15,7 +16,7 @@ from cloth_predict.tracking.follower import Follower
 from cloth_predict.tracking.limits import Health, judge, require_certain
 from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.tracking.rewind import Entry, Memory
-from cloth_predict.tracking.sheet import Sheet
+from cloth_predict.tracking.sheet import SheetFollower
 from cloth_predict.tracking.track import Frame, Step
 from cloth_predict.types import Belief, BoolArray, FloatArray, IntArray, Surface
 
@@ -43,7 +44,8 @@ class Tracker:
         self.counts: Counter[str] = Counter()
         self.markers: Counter[str] = Counter()
         self._memory: Memory[Any] | None = None
-        self._kind: Follower[Any] = Sheet(config)
+        kind = BodyFollower if config.model.is_body else SheetFollower
+        self._kind: Follower[Any] = kind(config)
         self._offered: int | None = None
         self._sigma: float | None = None
 

@@ -133,7 +133,8 @@ class Surface:
     """All nodes at one time.
 
     stamp [ns]; position [m], velocity [m/s], acceleration [m/s^2], each (nodes, 3);
-    covariance [m^2] of the position of each node, shape (nodes, 3, 3).
+    covariance [m^2] of the position of each node, shape (nodes, 3, 3); normal, shape (nodes, 3):
+    unit, outward, of a closed surface only.
     """
 
     stamp: int
@@ -141,6 +142,7 @@ class Surface:
     velocity: FloatArray
     acceleration: FloatArray
     covariance: FloatArray
+    normal: FloatArray | None = None
 
     @property
     def sigma(self) -> FloatArray:

@@ -454,8 +454,8 @@ def test_evaluate_other_filters(run: Run, bag: Path, parameters: Parameters) -> 
     plain = json.loads(run.well('evaluate', bag, '-c', config, '--json'))['methods']
     for name in ('hold', 'kf_cv', 'kf_ca', 'ekf'):
         assert {**found[name], 'us_per_frame': 0} == {**plain[name], 'us_per_frame': 0}
-    assert set(cli.FILTERS) > {'ekf', 'ukf', 'gomes2016'}
-    assert list(commands.Ladder(filters=('all',)).methods(load(config)))[3:] == list(cli.FILTERS)
+    assert set(FILTERS) > {'ekf', 'ukf', 'gomes2016'}
+    assert list(commands.Ladder(filters=('all',)).methods(load(config)))[3:] == list(FILTERS)
 
 
 def test_evaluate_at_the_best_of_the_baselines(

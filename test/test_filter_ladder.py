@@ -26,7 +26,7 @@ from references import (
 from scipy.stats import chi2
 
 from cloth_predict.config import FilterConfig, build
-from cloth_predict.filters.family import FILTERS
+from cloth_predict.filters.family import BODY_FILTERS, FILTERS
 from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.observations import VisiblePositions
@@ -117,7 +117,7 @@ def arrays(belief):
 
 def test_the_configuration_offers_every_kind_and_each_is_on_the_ladder():
     (kind,) = (f for f in dataclasses.fields(FilterConfig) if f.name == 'kind')
-    assert sorted(kind.metadata['choices']) == sorted(KINDS)
+    assert set(kind.metadata['choices']) == {*KINDS, *BODY_FILTERS}
     assert set(LADDER) == set(KINDS)
 
 

@@ -130,6 +130,10 @@ def _check_body(config: Config, source: str) -> None:
     ):
         if given:
             raise ConfigError(f'{source}: {name}: has no meaning with model.kind {model.kind}')
+    if 0 < config.body.nodes < FEWEST_NODES['closed']:
+        raise ConfigError(
+            f'{source}: body.nodes: a closed mesh has at least {FEWEST_NODES["closed"]} nodes'
+        )
     if len(config.labels) > model.nodes:
         raise ConfigError(
             f'{source}: labels: {len(config.labels)} labels, but model.nodes has only '

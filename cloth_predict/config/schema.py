@@ -165,10 +165,16 @@ class ModelConfig:
 class BodyConfig:
     """A closed body that deforms (`model.kind: superquadric`; Metaxas and Terzopoulos 1993)."""
 
+    nodes: int = param(
+        0,
+        'nodes with a displacement of their own, between which the `model.nodes` that are '
+        'published are interpolated; 0 is one for each of these',
+        low=0,
+    )
     mesh: str = param(
         'even',
-        'nodes: spread evenly over the body, or at the markers of the first frame, and evenly '
-        'between them',
+        'where these are: spread evenly over the body, or at the markers of the first frame and '
+        'evenly between them',
         choices=('even', 'markers'),
     )
     initial: tuple[float, ...] = param(
@@ -179,14 +185,17 @@ class BodyConfig:
     fixed: tuple[str, ...] = param((), 'global parameters, by name, that keep this shape')
     local: bool = param(True, 'whether each node can be displaced from the global shape')
     w0: float = param(0.1, 'membrane: stiffness against displacement', 'N/m', low=0)
-    w1: float = param(0.5, 'membrane: stiffness against its variation', 'N/m', low=0)
+    w1: float = param(0.5, 'membrane: stiffness against its variation', 'N/m', above=0)
     alpha: float = param(1.0, 'damping by mass: how fast motion dies away', '1/s', low=0)
     beta: float = param(0.0, 'damping by stiffness of the displacements', 's', low=0)
     inertial: bool = param(
         False, 'centrifugal and Coriolis forces; the motion is linear without them'
     )
-    reattach: int = param(
-        50, 'frames after which markers without a label are attached to nodes anew', low=1
+    reattach: float = param(
+        0.5,
+        'time after which markers without a label are attached to the nearest nodes anew',
+        's',
+        low=0,
     )
     coupling: str = param(
         'parts',
@@ -194,14 +203,25 @@ class BodyConfig:
         'together; each node has one of its own',
         choices=('parts', 'pose'),
     )
+    push_translation: float = param(
+        3.0,
+        'standard deviation of an acceleration of the centre that lasts, as of what pulls the '
+        'body; 0 is none',
+        'm/s^2',
+        low=0,
+    )
+    push_rotation: float = param(
+        10.0, 'the same of each component of the quaternion; 0 is none', '1/s^2', low=0
+    )
+    push_tau: float = param(0.2, 'time over which these accelerations forget', 's', above=0)
     translation_noise: float = param(
-        1.0, 'spectral density of the unknown acceleration of the centre', 'm^2/s^3', low=0
+        0.01, 'spectral density of the white acceleration of the centre', 'm^2/s^3', low=0
     )
     rotation_noise: float = param(
-        10.0, 'the same of each component of the quaternion', '1/s^3', low=0
+        0.1, 'the same of each component of the quaternion', '1/s^3', low=0
     )
     global_noise: float = param(
-        1.0, 'the same of each shape parameter, lengths by the size of the body', '1/s^3', low=0
+        0.1, 'the same of each shape parameter, of lengths by the size of the body', '1/s^3', low=0
     )
     local_noise: float = param(0.01, 'the same of the displacement of each node', 'm^2/s^3', low=0)
 
@@ -615,6 +635,11 @@ class Config:
     replay: ReplayConfig = ReplayConfig()
     projector: ProjectorConfig = ProjectorConfig()
     live_check: LiveCheckConfig = LiveCheckConfig()
+
+    @property
+    def nodes_are_markers(self) -> bool:
+        """Whether the published nodes of a body are its markers, in the order of their labels."""
+        return self.model.is_body and self.body.mesh == 'markers' and not self.body.nodes
 
     @property
     def every_horizon(self) -> tuple[float, ...]:

@@ -6,6 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from cloth_predict.config import Config
+from cloth_predict.exponential import Exponential
+from cloth_predict.filters.blocks import Blocks
+from cloth_predict.filters.decoupled import Decoupled
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.fixed_gain import FixedGain
 from cloth_predict.filters.gomes2016 import Gomes2016
@@ -18,6 +21,7 @@ from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.types import Filter
 
+EXPONENTIAL = Exponential()
 FILTERS: dict[str, Callable[[Config, MassSpring], Filter[Any]]] = {
     'ekf': lambda config, mesh: _ekf(config),
     'ukf': lambda config, mesh: SigmaPointFilter(
@@ -40,6 +44,21 @@ FILTERS: dict[str, Callable[[Config, MassSpring], Filter[Any]]] = {
         INTEGRATORS[config.filter.integrator], Modes.smoothest(mesh, config.filter.rank)
     ),
 }
+
+"""Those of a surface of springs."""
+BODY_FILTERS: dict[str, Callable[[Config, Blocks], Filter[Any]]] = {
+    'decoupled': lambda config, blocks: Decoupled(EXPONENTIAL, blocks),
+    'ekf': lambda config, blocks: ExtendedKalmanFilter(EXPONENTIAL),
+    'ukf': lambda config, blocks: SigmaPointFilter(EXPONENTIAL, config.filter.ukf_alpha, beta=2.0),
+    'ckf': lambda config, blocks: SigmaPointFilter(EXPONENTIAL, alpha=1.0, beta=0.0),
+}
+"""Those of a closed body, whose linear motion is stepped exactly."""
+KINDS = list(dict.fromkeys([*FILTERS, *BODY_FILTERS]))
+
+
+def kinds_of(config: Config) -> list[str]:
+    """The kinds of filters of a surface like the configured one."""
+    return list(BODY_FILTERS if config.model.is_body else FILTERS)
 
 
 def _ekf(config: Config) -> Filter[Any]:

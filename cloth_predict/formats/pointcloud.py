@@ -22,6 +22,8 @@ TRACKS = np.dtype([*((name, MARKERS[name]) for name in MARKERS.names or ()), ('t
 SURFACE = np.dtype(
     [(name, '<f4') for name in ('x', 'y', 'z', 'vx', 'vy', 'vz', 'ax', 'ay', 'az', 'sigma')]
 )
+NORMAL = ('normal_x', 'normal_y', 'normal_z')
+"""Unit, outward: of closed surfaces only; the names are those of PCL."""
 WARPED = np.dtype(
     [
         *((name, '<f4') for name in ('u', 'v', 's', 't', 'x', 'y', 'z', 'dt')),
@@ -146,8 +148,12 @@ def decode_markers(message: Any, nodes: int) -> tuple[FloatArray, BoolArray, Flo
 
 
 def encode_surface(surface: Surface, rows: int, cols: int) -> NDArray[np.void]:
-    """Pack a surface as an organised cloud, shape (rows, cols)."""
-    points = np.empty(len(surface.position), SURFACE)
+    """Pack a surface as an organised cloud, shape (rows, cols), with its normals if it has any."""
+    normal = () if surface.normal is None else NORMAL
+    dtype = np.dtype([*SURFACE.descr, *((name, '<f4') for name in normal)])
+    points = np.empty(len(surface.position), dtype)
+    for k, name in enumerate(normal):
+        points[name] = surface.normal[:, k]  # type: ignore[index]
     for prefix, values in (
         ('', surface.position),
         ('v', surface.velocity),

@@ -50,10 +50,10 @@ class Prediction:
 def encode_prediction(prediction: Prediction, rows: int, cols: int) -> NDArray[np.void]:
     """Pack a prediction as an organised cloud, shape (rows, cols)."""
     end = END if prediction.end else ()
-    dtype = np.dtype([(name, '<f4') for name in (*(SURFACE.names or ()), *end, *TIMES)])
-    points = np.empty((rows, cols), dtype)
     surface = encode_surface(prediction.surface, rows, cols)
-    for name in SURFACE.names or ():
+    names = surface.dtype.names or ()
+    points = np.empty((rows, cols), [(name, '<f4') for name in (*names, *end, *TIMES)])
+    for name in names:
         points[name] = surface[name]
     if prediction.end:
         after = np.column_stack([prediction.end.position, prediction.end.velocity])

@@ -80,7 +80,7 @@ def identify(
     pool = np.concatenate([positions[far], checked(points)])
     node = match(expected.position[unseen], expected.covariance[unseen], pool, gate).node
     doubtful = np.append(expected.doubtful[unseen], False)[node]  # False of those at no node
-    node[doubtful & ~_near(pool, earlier, reach)] = -1
+    node[doubtful & ~near(pool, earlier, reach)] = -1
     positions[unseen], visible[unseen] = in_node_order(node, pool, len(unseen))
     taken = node >= 0
     moved, matched = int(taken[: len(far)].sum()), int(taken[len(far) :].sum())
@@ -93,7 +93,7 @@ def inside(error: FloatArray, covariance: FloatArray, gate: float) -> BoolArray:
     return np.asarray(squared(error, covariance) < limit_of(gate))
 
 
-def _near(points: FloatArray, others: FloatArray, reach: float) -> BoolArray:
+def near(points: FloatArray, others: FloatArray, reach: float) -> BoolArray:
     """Whether each point [m], (m, 3), lies within `reach` [m] of one of the others, (k, 3)."""
     if not len(points) or not len(others):
         return np.zeros(len(points), bool)

@@ -86,8 +86,7 @@ class ClosedMesh:
         if np.any(length == 0.0):
             at = int(np.argmin(length))
             raise ConfigError(f'a closed mesh through the points: point {at} is at the centre')
-        x, y, z = (direction / length[:, None]).T
-        return cls._of(np.stack([np.arcsin(np.clip(z, -1.0, 1.0)), np.arctan2(y, x)], axis=1))
+        return cls._of(coordinates_of(direction))
 
     @classmethod
     def _of(cls, coordinates: FloatArray) -> ClosedMesh:
@@ -113,6 +112,12 @@ class ClosedMesh:
         inward = np.linalg.det(directions[triangles]) < 0.0
         triangles[inward] = triangles[inward][:, ::-1]
         return cls(coordinates, triangles)
+
+
+def coordinates_of(directions: FloatArray) -> FloatArray:
+    """Material coordinates u, v [rad], shape (N, 2), of directions of any length, (N, 3)."""
+    x, y, z = (directions / np.linalg.norm(directions, axis=1)[:, None]).T
+    return np.stack([np.arcsin(np.clip(z, -1.0, 1.0)), np.arctan2(y, x)], axis=1)
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

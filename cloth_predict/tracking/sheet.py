@@ -12,7 +12,7 @@ from cloth_predict.tracking.track import Frame, Step, Track, begin, follow
 from cloth_predict.types import Surface
 
 
-class Sheet:
+class SheetFollower:
     """Starts a surface of springs and follows it."""
 
     def __init__(self, config: Config) -> None:

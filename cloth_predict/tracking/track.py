@@ -95,7 +95,7 @@ def begin(start: Start, frame: Frame, config: Config) -> tuple[Track, Step]:
     """Track from a start at this frame, and which marker of the frame is which node."""
     track = Track(frame.stamp, start, np.full(len(frame.visible), frame.stamp), frame.stamp)
     found = _identified(track, frame, np.zeros(len(frame.visible), bool), config)
-    return track, Step('started', found.positions, found.visible, markers=_counted(found))
+    return track, Step('started', found.positions, found.visible, markers=counted(found))
 
 
 def follow(track: Track, frame: Frame, config: Config) -> tuple[Track, Step]:
@@ -130,9 +130,9 @@ def _follow(track: Track, frame: Frame, config: Config) -> tuple[Track, Step]:
     lost = min(len(found.left), (~found.visible).sum()) > found.visible.sum()
     good = track.good if lost else frame.stamp
     after = Track(frame.stamp, replace(arrived.now, belief=belief), last, good, found.left)
-    counted = _counted(found)
+    markers = counted(found)
     return after, Step(
-        'updated', found.positions, found.visible, innovation, counted, int(not sound)
+        'updated', found.positions, found.visible, innovation, markers, int(not sound)
     )
 
 
@@ -169,15 +169,21 @@ def _identified(track: Track, frame: Frame, own: BoolArray, config: Config) -> I
 
 
 def _allowance(track: Track, frame: Frame, config: Config) -> FloatArray:
-    """What the gate allows beyond the belief's covariance [m^2], shape (nodes, 3, 3).
+    """What the gate allows beyond the belief's covariance [m^2], shape (nodes, 3, 3)."""
+    return allowance(frame.stamp - track.last, track.now.nearest, config)
 
-    It grows while a node is not seen, until the gate reaches as far as to the nearest neighbour.
+
+def allowance(unseen: IntArray, nearest: FloatArray, config: Config) -> FloatArray:
+    """What the gates of k markers allow beyond the belief's covariance [m^2], shape (k, 3, 3).
+
+    It grows with the time unseen [ns], shape (k,), until the gate reaches as far as to the nearest
+    neighbour [m], shape (k,).
     """
     settings = config.association
-    unseen = (frame.stamp - track.last) / NANOSECONDS
-    widest = track.now.nearest / limit_of(settings.gate) ** 0.5
+    widest = nearest / limit_of(settings.gate) ** 0.5
     slack = np.minimum(
-        settings.slack + settings.drift * unseen, np.maximum(widest, settings.slack)
+        settings.slack + settings.drift * (unseen / NANOSECONDS),
+        np.maximum(widest, settings.slack),
     )
     variance = slack**2 + config.filter.measurement_noise**2
     return np.asarray(variance[:, None, None] * np.eye(3))
@@ -206,7 +212,8 @@ def _repaired(belief: Belief) -> Belief:
     return replace(belief, cov=nearest_positive_definite(belief.cov))
 
 
-def _counted(found: Identified) -> Counter[str]:
+def counted(found: Identified) -> Counter[str]:
+    """Markers by what they were taken for, as in `Step.markers`."""
     return Counter(
         relabelled=found.relabelled,
         rejected=found.rejected,

@@ -1,0 +1,76 @@
+"""A closed body that deforms, as a tracker follows it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_predict.bodies.registration import found_again
+from cloth_predict.bodies.starting import Starter
+from cloth_predict.bodies.track import BodyTrack, ahead, begin, follow
+from cloth_predict.config import Config
+from cloth_predict.errors import FrameError
+from cloth_predict.tracking.limits import spread
+from cloth_predict.tracking.motion import NANOSECONDS
+from cloth_predict.tracking.track import Frame, Step
+from cloth_predict.types import Surface
+
+
+class BodyFollower:
+    """Starts a body and follows it."""
+
+    def __init__(self, config: Config) -> None:
+        """Prepare. Raises ConfigError for parameters of a body that are none."""
+        self._config = config
+        self._starter = Starter(config)
+
+    @property
+    def reason(self) -> str:
+        """What a start still lacks, in a line."""
+        return self._starter.reason
+
+    def start(self, frame: Frame) -> tuple[BodyTrack, Step] | None:
+        """Start at a frame, or None where it shows no body."""
+        start = self._starter.offer(frame)
+        return None if start is None else begin(start, frame)
+
+    def follow(self, track: BodyTrack, frame: Frame) -> tuple[BodyTrack, Step]:
+        """Move on to a later frame and take it."""
+        return follow(track, frame, self._config)
+
+    def recover(
+        self, before: BodyTrack, after: BodyTrack, frame: Frame
+    ) -> tuple[BodyTrack, Step] | None:
+        """Find a body that is elsewhere, or back after a while, by its shape; or start anew."""
+        patience = self._config.association.patience * NANOSECONDS
+        absent = np.median(before.stamp - before.attached.seen) > patience
+        back = absent and 2 * (frame.visible.sum() + len(frame.points)) > len(before.attached)
+        if not back and after.stamp - after.good <= patience:
+            return None
+        again = found_again(before, frame, self._config)
+        return self.start(frame) if again is None else follow(again, frame, self._config)
+
+    def estimate(self, track: BodyTrack) -> Surface:
+        """Return the surface at the frame of the track."""
+        return _surface(track, track.stamp)
+
+    def predict(self, track: BodyTrack, horizon: float) -> tuple[Surface, float]:
+        """Return the surface `horizon` [s] ahead, and its sigma [m]. Raises FrameError."""
+        try:
+            there = ahead(track, horizon, self._config.filter.predict_step)
+        except FloatingPointError as error:
+            raise FrameError(f'the prediction fails: {error}') from None
+        found = _surface(there, track.stamp + round(horizon * NANOSECONDS))
+        if not np.isfinite(found.position).all():
+            raise FrameError('the prediction is not finite')
+        return found, spread(found, np.arange(len(found.position)))
+
+
+def _surface(track: BodyTrack, stamp: int) -> Surface:
+    """The published nodes of a body, at a time [ns]."""
+    assembly, mean = track.assembly, track.belief.mean
+    size, shown = assembly.body.dim_q, assembly.shown
+    second = assembly.model.f(mean, assembly.still)[size : 2 * size]
+    position, velocity, acceleration = shown.motion(mean[:size], mean[size : 2 * size], second)
+    covariance = shown.covariance(track.covariances(np.arange(assembly.body.nodes)))
+    normal = shown.mesh.normals(position)
+    return Surface(stamp, position, velocity, acceleration, covariance, normal)
