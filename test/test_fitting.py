@@ -6,6 +6,7 @@ from references import order_of
 from scipy.integrate import solve_ivp
 from scipy.spatial import cKDTree
 
+from cloth_predict.bodies import fitting
 from cloth_predict.bodies.fitting import Pull, fit
 from cloth_predict.bodies.surface_distance import nearest_on_surface
 from cloth_predict.models.closed_mesh import ClosedMesh
@@ -105,6 +106,21 @@ def test_it_finds_the_surface_without_knowing_which_point_is_which(nodes, local)
     # flat triangles between 123 exact nodes are off by 0.02; the body is 4.6 long, 1.6 across
     assert np.sqrt(np.mean(after**2)) < 0.1
     assert np.sqrt(np.mean(after**2)) < 0.1 * np.sqrt(np.mean(before**2))
+
+
+def test_displacements_wait_until_points_have_their_nodes(monkeypatch):
+    body = model(81)
+    points = model().position(bent(model(), 0.1))
+
+    def nearest(position):
+        return cKDTree(position).query(points)[1]
+
+    residual = []
+    for settling in (fitting.SETTLING, 1e3):
+        monkeypatch.setattr(fitting, 'SETTLING', settling)
+        found = fit(body, first(body), points, nearest, SIGMA, tolerance=1e-4, most=200)
+        residual.append(found.residual)
+    assert residual[0] < residual[1]
 
 
 def test_points_may_be_attached_anew_more_rarely():

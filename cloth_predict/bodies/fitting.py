@@ -16,12 +16,10 @@ from cloth_predict.types import FloatArray, IntArray
 Attach = Callable[[FloatArray], IntArray]
 """From the positions of the nodes [m], shape (N, 3), to the node of each point, shape (m,)."""
 
-FIRST = 1e-2
-"""First step, by sigma^2: the point of a node pulls its displacement by this share of the way."""
-SETTLING = 0.1
-"""Longest step, by sigma^2, while points change their nodes. The coordinates that all nodes share
-are pulled by all points and come to rest in such steps; displacements do not follow points that
-are not theirs."""
+SETTLING = 0.01
+"""First step, and the longest one while points change their nodes, by sigma^2: the point of a node
+pulls its displacement by this share of the way. What all nodes share is pulled by all points, and
+comes to rest in such steps before displacements follow points that are not theirs."""
 LONGEST = 1e12
 """Longest step, by the inverse of the largest stiffness: 1e-4 of it would be lost in rounding."""
 LONGER, SHORTER = 5.0, 0.5
@@ -65,7 +63,7 @@ def fit(
     """
     found = attach if callable(attach) else (lambda _: attach)
     q = body.admissible(np.append(q[: body.dim_q], np.zeros(body.dim_q)))[: body.dim_q]
-    pull, dt, taken = Pull(body, found(body.position(q)), points, sigma), FIRST * sigma**2, 0
+    pull, dt, taken = Pull(body, found(body.position(q)), points, sigma), SETTLING * sigma**2, 0
     rounding = 0.5 * len(points) * (tolerance / sigma) ** 2
     for steps in range(1, most + 1):
         after, longest = pull.step(q, dt)
