@@ -26,11 +26,11 @@ Rates = tuple[FloatArray, FloatArray, FloatArray]
 class Continuous:
     """The filter on these blocks, in steps of at most `step` [s].
 
-    `euler` is eq. 39: of first order, and unstable where a step times a rate of P H' V^-1 H or of F
-    is above 2. `splitting` moves by the model for half a step, takes the measurement, and moves
-    for the rest: exact in the linear part of the model, and where it is linear in the measurement,
-    whatever the rates. It is of second order with a full covariance, of first where correlations
-    are dropped, as it drops them once in a step.
+    `euler` is eq. 39: of first order, and unstable where a step times a rate of P H' V^-1 H or
+    of F is above 2. `splitting` moves by the model for half a step, takes the measurement, and
+    moves for the rest: exact in the linear part of the model, and in the measurement where that is
+    linear, whatever the rates. It is of second order with a full covariance, of first where
+    correlations are dropped, as it drops them once in a step.
     """
 
     blocks: Blocks
