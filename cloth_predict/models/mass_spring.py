@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import numpy as np
@@ -64,9 +65,14 @@ class MassSpring:
         triangles = np.zeros((0, 3), np.int64) if air is None else air.triangles
         self.blocks = BlockStructure(springs.pairs, self.free, self.nodes, triangles)
         self.mass_blocks = self.blocks.diagonal(self.mass[self.free])
-        damping = self.blocks.gather(springs.damping[:, None]) * np.eye(3).ravel()
-        self.damping_blocks = damping
-        self._jav = self._weighted(damping)
+        self._set_dampers()
+
+    def with_springs(self, springs: Springs) -> MassSpring:
+        """Return this surface with other springs between the same nodes, at little cost."""
+        other = copy.copy(self)
+        other.springs = springs
+        other._set_dampers()
+        return other
 
     @property
     def dim_x(self) -> int:
@@ -205,6 +211,11 @@ class MassSpring:
         ends[each, self.first] += 1.0
         ends[each, self.second] -= 1.0
         return sparse.csr_array(sparse.kron(ends[:, self.driven], np.eye(3)))
+
+    def _set_dampers(self) -> None:
+        damping = self.blocks.gather(self.springs.damping[:, None])
+        self.damping_blocks = damping * np.eye(3).ravel()
+        self._jav = self._weighted(self.damping_blocks)
 
     def _weighted(self, blocks: FloatArray) -> FloatArray:
         return np.asarray(blocks * self._inverse_mass[self.blocks.a][:, None])

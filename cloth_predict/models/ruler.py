@@ -185,9 +185,8 @@ class Ruler:
         The angular momentum about that contact loses what friction at the other one takes.
         """
         at, other = self.places[..., pivot], self.places[..., 1 - pivot]
-        velocity, spin = _velocity(x), x[..., SPIN]
-        inertia = self.inertia + at**2
-        momentum = self.inertia * spin - at * (velocity / turn).imag
+        velocity, inertia = _velocity(x), self.inertia + at**2
+        momentum = self.inertia * x[..., SPIN] - at * (velocity / turn).imag
         left = np.abs(momentum) - np.abs(other - at) * impulse[..., 1 - pivot]
         sign = np.sign(momentum)
         first, last = momentum / inertia, sign * np.maximum(left, 0.0) / inertia
@@ -197,8 +196,7 @@ class Ruler:
         later = -1j * at * last * end
         holding = later - velocity - sliding * turn * np.exp(0.5j * angle)
         holds = (np.abs(holding) <= impulse[..., pivot]) & (left > 0.0)
-        moved = 0.5 * dt * (velocity + 1j * at * spin * turn)
-        centre = _centre(x) + at * (turn - end) + moved
+        centre = _centre(x) + at * (turn - end)
         state = (centre.real, centre.imag, x[..., ANGLE] + angle, later.real, later.imag, last)
         return np.stack(state, axis=-1), np.asarray(holds)
 
