@@ -15,6 +15,8 @@ from cloth_predict import commands as run
 from cloth_predict.command_line import (
     calibrate_projector,
     compress,
+    decode,
+    encode,
     identify,
     project,
     reproduce,
@@ -116,6 +118,8 @@ def _parser() -> argparse.ArgumentParser:
     tune.add(command)
     stiffness.add(command)
     compress.add(command)
+    encode.add(command)
+    decode.add(command)
     reproduce.add(command)
     return parser
 

@@ -48,6 +48,11 @@ class DrivenNodes:
         )
         self._bank, _ = unseen.updated(surface[nodes], np.ones(len(nodes), bool))
 
+    @property
+    def bank(self) -> KinematicBank:
+        """What is believed of each driven marker."""
+        return self._bank
+
     def copy(self) -> DrivenNodes:
         """Return a copy that can be moved on by itself."""
         return copy.copy(self)  # a bank is never changed once made
