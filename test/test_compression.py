@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from interrupting import interrupted
 from references import number_of_springs
 
 from cloth_predict.cli import main
@@ -23,18 +24,29 @@ from cloth_predict.identification.compression.falling import (
     sheet,
 )
 from cloth_predict.identification.compression.report import file
-from cloth_predict.identification.compression.search import bounds, compress, follow, weighed
+from cloth_predict.identification.compression.search import (
+    bounds,
+    follow,
+    judged,
+    searched,
+    weighed,
+)
 from cloth_predict.identification.compression.task import THESIS, Task
+from cloth_predict.identification.optimisers.family import Method
 from cloth_predict.identification.optimisers.result import DivergedError
 from cloth_predict.types import MarkerSequence
 
 SMALL = Task((9, 9), (3, 3), ('falling',), ('lowered', 'raised'), duration=2.0)
 
 
+def compress(task, budget=240, optimiser='gradient', seed=0, **more):
+    return judged(searched(task, Method(optimiser, budget, seed), **more))
+
+
 @pytest.fixture(scope='module')
 def found():
     """A small sheet, compressed with 60 gradients."""
-    return compress(SMALL, budget=240)
+    return compress(SMALL)
 
 
 # --- the dense sheet
@@ -183,16 +195,16 @@ def test_compression_lowers_the_cost_where_it_trained_and_where_it_did_not(found
 @pytest.mark.parametrize('optimiser', ['cma', 'annealing'])
 def test_searches_without_a_gradient_lower_it_too(optimiser):
     task = replace(SMALL, target=(2, 2), duration=0.5, held_out=(), loads=False)
-    one = compress(task, optimiser, budget=150, seed=3)
+    one = compress(task, 150, optimiser, seed=3)
     assert one.result.cost < 0.9 * one.before['falling'].cost
     assert one.result.evaluations <= 150
-    again = compress(task, optimiser, budget=150, seed=3)
+    again = compress(task, 150, optimiser, seed=3)
     np.testing.assert_array_equal(one.result.best, again.result.best)
 
 
 def test_two_motions_in_the_cost_lower_that_of_the_second(found):
     """Gomes 2016, eq. 5.16 and figure 5.11."""
-    both = compress(replace(SMALL, trained=('falling', 'raised')), budget=240)
+    both = compress(replace(SMALL, trained=('falling', 'raised'), held_out=('lowered',)))
     assert both.after['raised'].cost < found.after['raised'].cost
     parts = both.after['falling'].cost + both.after['raised'].cost
     assert both.result.cost == pytest.approx(parts, rel=1e-8)  # rounding
@@ -203,7 +215,7 @@ def test_ctrl_c_keeps_the_best_so_far():
         if evaluations >= 20:
             raise KeyboardInterrupt
 
-    kept = compress(replace(SMALL, held_out=()), budget=240, callback=stop)
+    kept = compress(replace(SMALL, held_out=()), callback=stop)
     assert kept.result.interrupted
     assert kept.after['falling'].cost < kept.before['falling'].cost
 
@@ -300,6 +312,63 @@ def test_the_command_writes_a_file_and_a_report(tmp_path, capsys):
     assert 'EKF cycle costs no more' in (report / 'compression.txt').read_text(encoding='utf-8')
 
 
+def options(tmp_path, *more):
+    usual = ['--from', '5x5', '--to', '3x3', '--duration', '0.3', '--scenarios', 'falling']
+    return ['compress', *usual, '-o', str(tmp_path / 'out.yaml'), '--json', *map(str, more)]
+
+
+def test_ctrl_c_writes_the_best_so_far_and_the_search_goes_on(tmp_path, capsys):
+    output, study = tmp_path / 'out.yaml', tmp_path / 'out.study.jsonl'
+    code, out, err = interrupted(study, 6, *options(tmp_path, '--budget', 100000))
+    assert (code, err) == (130, '')
+    numbers = json.loads(out)
+    assert numbers['interrupted']
+    assert numbers['scenarios'] == {}
+    assert load(output).model.rows == 3
+    assert {str(study) + ',', '--resume'} <= set(output.read_text().split())
+    budget = numbers['evaluations'] + 6
+    assert main(options(tmp_path, '--budget', budget, '--resume', study)) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert (numbers['interrupted'], numbers['study']) == (False, str(study))
+    fresh = tmp_path / 'fresh'
+    assert main(options(fresh, '--budget', budget)) == 0
+    assert load(fresh / 'out.yaml') == load(output)
+    known = study.read_text()
+    assert (fresh / 'out.study.jsonl').read_text() == known
+    assert main(options(tmp_path, '--budget', budget, '--resume', study)) == 0
+    assert study.read_text() == known  # nothing was evaluated twice
+
+
+@pytest.mark.parametrize(
+    ('more', 'line'),
+    [
+        (['--no-loads'], 'sheet is 5 x 5 -> 3 x 3 nodes, with a factor of gravity'),
+        (['--alpha', '0'], 'trained on is falling, 0.3 s each, weight exp(0.001 t) there'),
+        (['--optimiser', 'cma'], 'optimiser is gradient there, and cma here'),
+        (['-c', 'own.yaml'], 'model.mass is 11.025 there, and 0.2 here'),
+    ],
+)
+def test_a_study_of_something_else_is_refused_by_name(
+    more, line, tmp_path, parameters, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    parameters(model={'width': 1.5, 'height': 1.5, 'mass': 0.2}).rename('own.yaml')
+    assert main(options(tmp_path, '--budget', 4)) == 0
+    study = tmp_path / 'out.study.jsonl'
+    assert main(options(tmp_path, '--budget', 4, '--resume', study, *more)) == 1
+    said = capsys.readouterr().err
+    assert f'{study}: is a study of something else: {line}' in said
+    assert said.count('\n') == 1
+
+
+def test_what_cannot_be_written_is_said_before_the_search(tmp_path, capsys):
+    (tmp_path / 'file').touch()
+    for more in (['-o', tmp_path], ['--report', tmp_path / 'file']):
+        assert main(options(tmp_path, *more)) == 1
+        assert 'cannot be written' in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ['file']  # no study
+
+
 def test_a_surface_of_ones_own_keeps_its_filter(parameters, tmp_path):
     config = parameters(model={'width': 0.4, 'height': 0.6, 'mass': 0.2}, horizon=0.07)
     options = ['--from', '5x5', '--to', '3x3', '--duration', '0.2', '--budget', '8']
@@ -343,6 +412,8 @@ def test_a_surface_that_is_no_even_sheet_is_refused(changes, line):
         Task(surface=surface).space()
 
 
-def test_a_scenario_that_is_none_is_named():
+def test_a_scenario_that_is_none_or_judges_nothing_is_named():
+    with pytest.raises(ConfigError, match='scenarios: raised is held out, and trained on'):
+        Task(trained=('falling', 'raised'), held_out=('raised',))
     with pytest.raises(ConfigError, match='scenarios: flying is none of falling, raised'):
         Task(trained=('flying',))

@@ -362,6 +362,15 @@ def test_an_interrupt_keeps_the_best_so_far(name):
     assert found.cost <= bowl(np.zeros(2))
 
 
+@pytest.mark.parametrize('name', OPTIMISERS)
+def test_an_interrupt_before_any_cost_ends_the_search(name):
+    def stop(vector):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        lowered(name, Plain(stop, stop))
+
+
 @pytest.mark.parametrize(('name', 'price'), [('annealing', 1), ('cma', 1), ('gradient', 7)])
 def test_a_budget_is_kept_and_a_gradient_counts_by_its_price(name, price):
     calls = []

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
+import shutil
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from interrupting import interrupted
 from shaken import ANCHORS, GUESS, NAMES, TRUE, first_guess, recording
 
 from cloth_predict import cli
@@ -29,7 +25,7 @@ from cloth_predict.identification.objectives.parallel import Called, Parallel, S
 from cloth_predict.identification.objectives.parameters import Space
 from cloth_predict.identification.objectives.stretches import trajectories
 from cloth_predict.identification.optimisers.result import Plain
-from cloth_predict.identification.optimisers.study import Study
+from cloth_predict.identification.optimisers.study import Study, StudyFile
 from cloth_predict.identification.task import Task, usual
 from cloth_predict.identification.workers import workers
 
@@ -189,6 +185,13 @@ def test_what_was_found_on_three_takes_of_a_rope_serves_three_others(real):
     assert np.sqrt(after / before) <= 0.75  # 0.705; at every frame 32.55 -> 22.96 mm
 
 
+def test_a_filter_that_fails_has_no_cost(shaken_case):
+    case, config = shaken_case
+    heavy = replace(config, model=replace(config.model, gravity=(0.0, -1e300, 0.0)))
+    objective = Horizon(Space.of(heavy, NAMES), case, 0.1)
+    assert np.isnan(objective.part(0, objective.space.start))
+
+
 def test_too_short_a_recording_is_refused_by_name():
     case = case_of(recording(1, 0.9))
     with pytest.raises(FormatError, match=r'towel: nothing to judge 0\.1 s ahead'):
@@ -251,11 +254,11 @@ def counting():
 
 def test_a_study_that_goes_on_evaluates_nothing_twice(tmp_path):
     calls, costs = counting()
-    study = Study(costs, tmp_path / 'study', FACTS, resume=False)
+    study = Study(costs, StudyFile(tmp_path / 'study'), FACTS)
     asked = [np.array([x, 0.1]) for x in (0.3, 3.0, 1 / 3)]
     first = study.values(asked), study.gradient(asked[0])
     assert len(calls) == 4
-    again = Study(costs, tmp_path / 'study', FACTS, resume=True)
+    again = Study(costs, StudyFile(tmp_path / 'study', True), FACTS)
     assert again.known == 4
     np.testing.assert_array_equal(again.values(asked), first[0])
     cost, slope = again.gradient(asked[0])
@@ -270,13 +273,13 @@ def test_a_study_that_was_cut_off_goes_on_before_the_cut(tmp_path):
     calls, costs = counting()
     path = tmp_path / 'study'
     asked = [np.array([x, 0.1]) for x in (0.3, 0.4)]
-    Study(costs, path, FACTS, resume=False).values(asked)
+    Study(costs, StudyFile(path), FACTS).values(asked)
     path.write_text(path.read_text()[:-7])
-    again = Study(costs, path, FACTS, resume=True)
+    again = Study(costs, StudyFile(path, True), FACTS)
     assert again.known == 1
     assert again.values(asked) == [float(v @ v) for v in asked]
     assert len(calls) == 3
-    assert Study(costs, path, FACTS, resume=True).known == 2
+    assert Study(costs, StudyFile(path, True), FACTS).known == 2
 
 
 @pytest.mark.parametrize(
@@ -289,9 +292,9 @@ def test_a_study_that_was_cut_off_goes_on_before_the_cut(tmp_path):
 )
 def test_a_study_of_something_else_is_refused_by_name(tmp_path, facts, message):
     _, costs = counting()
-    Study(costs, tmp_path / 'study', FACTS, resume=False)
+    Study(costs, StudyFile(tmp_path / 'study'), FACTS)
     with pytest.raises(FormatError, match=f'is a study of something else: {message}'):
-        Study(costs, tmp_path / 'study', facts, resume=True)
+        Study(costs, StudyFile(tmp_path / 'study', True), facts)
 
 
 def test_what_is_no_study_is_refused_by_name(tmp_path):
@@ -299,23 +302,30 @@ def test_what_is_no_study_is_refused_by_name(tmp_path):
     path = tmp_path / 'study'
     for text in ('', 'no JSON', '[1]\n', '{"format": "other"}\n'):
         path.write_text(text)
-        with pytest.raises(FormatError, match='is no study of identify'):
-            Study(costs, path, FACTS, resume=True)
+        with pytest.raises(FormatError, match='is no study of a search'):
+            Study(costs, StudyFile(path, True), FACTS)
     with pytest.raises(FormatError, match='study: No such file'):
-        Study(costs, tmp_path / 'none' / 'study', FACTS, resume=True)
-    study = Study(costs, path, FACTS, resume=False)
+        Study(costs, StudyFile(tmp_path / 'none' / 'study', True), FACTS)
+    study = Study(costs, StudyFile(path), FACTS)
     study.values([np.array([0.3, 0.1])])
-    path.write_text(path.read_text() + '{}\n["x"]\n')
-    with pytest.raises(FormatError, match='line 3 is no evaluation'):
-        Study(costs, path, FACTS, resume=True)
+    whole = path.read_text()
+    for line in ('{}', '["x"]', '["x", "1.0"]', '[1.0, 1.0]', '["x", 1.0, [2.0]]', '[', '\x00'):
+        path.write_text(f'{whole}{line}\n["x", 1.0]\n')
+        with pytest.raises(FormatError, match='line 3 is no evaluation'):
+            Study(costs, StudyFile(path, True), FACTS)
+    path.write_bytes(b'\xff\xfe' + whole.encode())
+    with pytest.raises(FormatError, match='is no study of a search'):
+        Study(costs, StudyFile(path, True), FACTS)
 
 
 def test_another_search_is_noticed_at_its_first_vector(tmp_path):
     _, costs = counting()
-    Study(costs, tmp_path / 'study', FACTS, resume=False).values([np.array([0.3, 0.1])])
-    again = Study(costs, tmp_path / 'study', FACTS, resume=True)
+    Study(costs, StudyFile(tmp_path / 'study'), FACTS).values([np.array([0.3, 0.1])])
+    again = Study(costs, StudyFile(tmp_path / 'study', True), FACTS)
     with pytest.raises(FormatError, match='line 2 is of another search'):
         again.values([np.array([0.3, 0.2])])
+    with pytest.raises(FormatError, match='line 2 is of another search'):
+        again.gradient(np.array([0.3, 0.1]))  # of which there is the cost only
 
 
 # --- the command ------------------------------------------------------------------------------
@@ -431,6 +441,9 @@ def test_a_study_goes_on_with_a_larger_budget(capsys, folder, tmp_path):
         (['--objective', 'horizon', '--horizon', '0.2'], 1, 'nothing to judge 0.2 s ahead'),
         (['--budget', '0'], 2, 'less than 1'),
         (['--budget', '2'], 1, 'no valid result: none of 0 evaluations'),
+        (['--parameters', 'replay.rate'], 1, 'replay.rate: has no say in how well'),
+        (['--jobs', '0'], 2, '0 is less than 1'),
+        (['--held-out', 'nowhere'], 1, 'nowhere: no such file or folder'),
     ],
 )
 def test_what_cannot_be_done_is_one_line(capsys, folder, tmp_path, more, code, message):
@@ -441,24 +454,62 @@ def test_what_cannot_be_done_is_one_line(capsys, folder, tmp_path, more, code, m
     assert not (tmp_path / 'x.yaml').exists()
 
 
-def test_ctrl_c_writes_the_best_so_far(folder, tmp_path):
+def test_what_is_searched_on_cannot_be_held_out(capsys, folder, tmp_path):
+    copy = shutil.copytree(folder / 'take1', tmp_path / 'copy')
+    given = [*options(folder, 1, 2), '--held-out', copy, '-o', tmp_path / 'x.yaml']
+    code, out, err = run(capsys, *given)
+    assert (code, out) == (1, '')
+    assert f'{copy}: is held out, but holds the same as {folder / "take1"}' in err
+    assert err.count('\n') == 1
+
+
+@pytest.mark.parametrize('objective', ['horizon', 'trajectory'])
+def test_a_surface_that_never_starts_is_refused_by_name(capsys, folder, tmp_path, objective):
+    markers = recording(1, 1.5)
+    hidden = markers.visible.copy()
+    hidden[:, 1] = False
+    write_recording(tmp_path / 'take', Recording(replace(markers, visible=hidden)))
+    given = [tmp_path / 'take', '-c', folder / 'guess.yaml', '--objective', objective]
+    code, out, err = run(capsys, *given, '-o', tmp_path / 'x.yaml')
+    assert (code, out) == (1, '')
+    assert 'take: no surface yet: 19 of 5 x 4 = 20 nodes seen, waiting for the driven' in err
+    assert err.count('\n') == 1
+
+
+def test_what_cannot_be_written_is_said_before_the_search(capsys, folder, tmp_path):
+    (tmp_path / 'x.yaml').mkdir()
+    (tmp_path / 'file').touch()
+    for output in (tmp_path / 'x.yaml', tmp_path / 'file' / 'x.yaml'):
+        code, out, err = run(capsys, *options(folder, 1), '-o', output)
+        assert (code, out) == (1, '')
+        assert 'cannot be written' in err
+        assert err.count('\n') == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['file', 'x.yaml']  # no study
+
+
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_ctrl_c_writes_the_best_so_far_and_the_search_goes_on(capsys, folder, tmp_path, jobs):
     path = tmp_path / 'best.yaml'
+    usual = [*options(folder, 1), '--optimiser', 'annealing', '--json']
     study = path.with_suffix('.study.jsonl')
-    arguments = [*options(folder, 1), '--optimiser', 'annealing', '--json', '-o', path]
-    command = [sys.executable, '-m', 'cloth_predict.cli', 'identify', *map(str, arguments)]
-    environment = {**os.environ, 'PYTHONPATH': str(Path(cli.__file__).parents[1])}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment)
-    deadline = time.monotonic() + 60
-    while not (study.exists() and study.read_text().count('\n') > 10):
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.02)  # no event tells of a line in a file
-    process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=60)
-    assert process.returncode == 130
+    code, out, err = interrupted(study, 10, 'identify', *usual, '--jobs', jobs, '-o', path)
+    assert (code, err) == (130, '')
     found = json.loads(out)
     assert found['interrupted']
     assert found['parameters'][NAMES[0]]['sigma'] is None
     assert load(path).model.damping == found['parameters']['model.damping']['after']
     assert '--resume' in path.read_text()
     assert ANCHORS['motion'] == load(path).anchors.motion
+    more = '--budget', found['evaluations'] + 5
+    assert run(capsys, *usual, *more, '-o', path, '--resume', study)[0] == 0
+    assert run(capsys, *usual, *more, '-o', tmp_path / 'at_once.yaml')[0] == 0
+    assert load(path) == load(tmp_path / 'at_once.yaml')
+
+
+def test_ctrl_c_while_processes_start_says_nothing(folder, tmp_path):
+    path = tmp_path / 'none.yaml'
+    study = path.with_suffix('.study.jsonl')
+    assert interrupted(
+        study, 1, 'identify', *options(folder, 1), '--jobs', 2, '-o', path
+    ) == (130, '', '')  # fmt: skip
+    assert not path.exists()

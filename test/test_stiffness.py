@@ -206,6 +206,15 @@ def test_a_filter_without_a_covariance_is_named():
         condition_numbers(case, config)
 
 
+def test_springs_stiffer_than_a_number_are_refused(tmp_path, capsys):
+    given = ['stiffness', '-c', str(ROOT / 'config/towel.yaml'), '--young', '1e308']
+    assert main([*given, '--thickness', '1e5', '-o', str(tmp_path / 'x.yaml')]) == 1
+    said = capsys.readouterr().err
+    assert "Young's modulus 1e+308 Pa times thickness 100000 m is more than" in said
+    assert said.count('\n') == 1
+    assert not (tmp_path / 'x.yaml').exists()
+
+
 @pytest.mark.filterwarnings('default:the stiffest mode')  # the command prints it
 def test_the_command_writes_springs_that_a_surface_has(tmp_path, capsys):
     output = tmp_path / 'springs.yaml'

@@ -1,6 +1,7 @@
 """Tuning of the noise: likelihoods, errors, searches, studies, and the command as one call."""
 
 import json
+import shutil
 from dataclasses import replace
 from math import isfinite, nan, sqrt
 from pathlib import Path
@@ -339,6 +340,16 @@ def test_nothing_valid_is_an_error():
         search(given, proposals_for(given), 4)
 
 
+@pytest.mark.parametrize('method', ['likelihood', 'horizon', 'grid'])
+def test_a_filter_that_fails_is_no_valid_trial(towel, method):
+    config, case = towel
+    heavy = replace(config, model=replace(config.model, gravity=(0.0, -1e300, 0.0)))
+    given = prepared(heavy, [case], method, 0.05)
+    assert np.isnan(given(given.noise.first))
+    with pytest.raises(ClothPredictError, match='none of 2 trials gave a valid score'):
+        search(given, proposals_for(given), 2)
+
+
 def test_a_study_depends_on_the_model_the_recordings_and_the_objective():
     facts = task().facts
     assert PROCESS not in facts
@@ -401,6 +412,10 @@ def test_the_command(tmp_path, parameters, capsys):
     assert main(['tune', str(tmp_path / 'short'), *usual]) == 1
     assert 'short: no innovation after the first 1 s' in capsys.readouterr().err
     assert not output.exists()
+    shutil.copytree(tmp_path / 'take', tmp_path / 'copy')
+    both = [str(tmp_path / 'take'), *usual, '--held-out', str(tmp_path / 'copy')]
+    assert main(['tune', *both]) == 1
+    assert 'copy: is held out, but holds the same as' in capsys.readouterr().err
     assert main(['tune', str(tmp_path / 'take'), *usual, '--trials', '2', '--json']) == 0
     found = json.loads(capsys.readouterr().out)
     assert found['trials'] == 2
@@ -408,3 +423,12 @@ def test_the_command(tmp_path, parameters, capsys):
     with pytest.raises(SystemExit):
         main(['tune', 'x', *usual[:-1], 'grid', '--storage', 'x'])
     assert '--storage needs --method likelihood or horizon' in capsys.readouterr().err
+
+
+def test_what_cannot_be_written_is_said_before_anything_is_read(tmp_path, parameters, capsys):
+    given = ['tune', 'nowhere', '-c', str(parameters(**FREE)), '-o']
+    assert main([*given, str(tmp_path)]) == 1
+    assert f'{tmp_path}: cannot be written: Is a directory' in capsys.readouterr().err
+    assert main([*given, str(tmp_path / 'new.yaml')]) == 1
+    assert 'nowhere: no such file or folder' in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ['parameters.yaml']

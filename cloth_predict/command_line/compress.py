@@ -16,13 +16,15 @@ from cloth_predict.command_line.options import (
 )
 from cloth_predict.config import load
 from cloth_predict.errors import ClothPredictError, ClothPredictWarning
+from cloth_predict.formats.files import make_folder
 from cloth_predict.identification.compression import report
 from cloth_predict.identification.compression.falling import DURATION, RELEASES
 from cloth_predict.identification.compression.modal import Rival, rivals
-from cloth_predict.identification.compression.search import BUDGET, Compression, compress
+from cloth_predict.identification.compression.search import USUAL, Compression, judged, searched
 from cloth_predict.identification.compression.task import THESIS, Grid, Task
-from cloth_predict.identification.optimisers.family import OPTIMISERS
-from cloth_predict.identification.provenance import write_configuration
+from cloth_predict.identification.optimisers.family import OPTIMISERS, Method
+from cloth_predict.identification.optimisers.study import StudyFile
+from cloth_predict.identification.provenance import check_output, write_configuration
 from cloth_predict.identification.task import ALPHA
 
 
@@ -60,14 +62,17 @@ def add(command: Add) -> None:
         help='on which the result is judged only; default: all others',
     )
     parser.add(
-        '--optimiser', choices=sorted(OPTIMISERS), default='gradient', help='default: gradient'
+        '--optimiser',
+        choices=sorted(OPTIMISERS),
+        default=USUAL.optimiser,
+        help=f'default: {USUAL.optimiser}',
     )
     parser.add(
         '--budget',
         type=count,
-        default=BUDGET,
+        default=USUAL.budget,
         metavar='N',
-        help=f'most evaluations of the model; default {BUDGET}',
+        help=f'most evaluations of the model; default {USUAL.budget}',
     )
     parser.add(
         '--alpha',
@@ -85,7 +90,7 @@ def add(command: Add) -> None:
         metavar='S',
         help=f'length of each scenario in seconds; default {DURATION:g}',
     )
-    parser.searches()
+    parser.searches().resume()
     parser.add(
         '--report',
         type=Path,
@@ -115,22 +120,24 @@ def _compress(options: argparse.Namespace) -> None:
         options.alpha,
         not options.no_loads,
     )
+    check_output(options.output)
+    if options.report is not None:
+        make_folder(options.report)
+    file = StudyFile.beside(options.output, options.resume)
+    method = Method(options.optimiser, options.budget, options.seed, file)
     with progress_bar('compress', 'evaluation')(options.budget) as bar:
         show = best_so_far(bar, 'm^2')
-        found = compress(
-            task,
-            options.optimiser,
-            options.budget,
-            options.seed,
-            options.jobs,
-            lambda evaluations, best: show(evaluations, options.budget, best),
+        found = searched(
+            task, method, options.jobs, lambda done, best: show(done, options.budget, best)
         )
-    write_configuration(options.output, report.file(found))
+    write_configuration(options.output, report.file(found))  # before what may be cut off
     beside: list[Rival] = []
-    if options.report is not None and not found.result.interrupted:
-        beside = _beside(found)
-    if options.report is not None:
-        report.write(found, beside, options.report)
+    if not found.result.interrupted:
+        found = judged(found)
+        write_configuration(options.output, report.file(found))
+        if options.report is not None:
+            beside = _beside(found)
+            report.write(found, beside, options.report)
     if options.json:
         print(json.dumps(report.summary(found, beside)))
     else:

@@ -16,9 +16,10 @@ from cloth_predict.command_line.options import (
 )
 from cloth_predict.config import load
 from cloth_predict.errors import ClothPredictWarning
-from cloth_predict.identification.identified import Identified, Outputs, Settings
+from cloth_predict.identification.identified import Identified, Outputs
 from cloth_predict.identification.identify import identify
-from cloth_predict.identification.optimisers.family import BUDGETS, OPTIMISERS
+from cloth_predict.identification.optimisers.family import BUDGETS, OPTIMISERS, Method
+from cloth_predict.identification.optimisers.study import StudyFile
 from cloth_predict.identification.task import ALPHA, USUAL, WINDOW, Task
 
 
@@ -74,10 +75,7 @@ def add(command: Add) -> None:
         metavar='S',
         help=f'trajectory: how long the model is left to itself; default {WINDOW:g}',
     )
-    parser.searches()
-    parser.add(
-        '--resume', type=Path, metavar='FILE', help='study to go on with (NAME.study.jsonl)'
-    )
+    parser.searches().resume()
 
 
 def _identify(options: argparse.Namespace) -> None:
@@ -93,12 +91,14 @@ def _identify(options: argparse.Namespace) -> None:
         options.window,
         config.horizon if options.horizon is None else options.horizon,
     )
-    settings = Settings(
-        options.optimiser, options.budget, options.jobs, options.seed, options.resume
-    )
+    optimiser = options.optimiser or USUAL[options.objective]
+    budget = options.budget or BUDGETS[optimiser]
+    file = StudyFile.beside(Outputs.at(options.output).configuration, options.resume)
+    method = Method(optimiser, budget, options.seed, file)
     with progress_bar('identify', 'evaluation')(0) as bar:
+        show = best_so_far(bar, 'mm')
         found = identify(
-            options.bag, options.output, task, options.held_out, settings, best_so_far(bar, 'mm')
+            options.bag, options.output, task, method, options.jobs, options.held_out, show
         )
     print(json.dumps(found.summary()) if options.json else _text(found, options.output))
     if found.caution:

@@ -74,6 +74,12 @@ class Command:
         self.add('--seed', type=whole, default=0, help='of the search; default 0')
         return self
 
+    def resume(self) -> Command:
+        """Add a search to go on with."""
+        text = 'study to go on with (NAME.study.jsonl)'
+        self.add('--resume', type=Path, metavar='FILE', help=text)
+        return self
+
     def held_out(self) -> Command:
         """Add recordings to judge a result on."""
         self.add(

@@ -11,8 +11,10 @@ from matplotlib.axes import Axes
 from cloth_predict.experiments.plots import over_time, panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
 from cloth_predict.identification.compression.falling import RELEASES, STEP
-from cloth_predict.identification.compression.search import Compression, Followed, compress
+from cloth_predict.identification.compression.search import Compression, Followed, judged
+from cloth_predict.identification.compression.search import searched as search
 from cloth_predict.identification.compression.task import Task
+from cloth_predict.identification.optimisers.family import Method
 from cloth_predict.types import FloatArray
 
 AT_FIRST = (
@@ -53,7 +55,8 @@ def searched(task: Task, quick: bool) -> Found:
     effort = QUICK if quick else FULL
     task = replace(task, duration=effort.duration)
     budget = effort.large if task.target[0] > 5 else effort.small
-    return {name: compress(task, optimiser, budget) for name, optimiser in METHODS.items()}
+    methods = {name: Method(optimiser, budget) for name, optimiser in METHODS.items()}
+    return {name: judged(search(task, method)) for name, method in methods.items()}
 
 
 def lowered(found: Compression, name: str = FIRST) -> str:

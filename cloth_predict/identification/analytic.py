@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from cloth_predict import config as configuration
 from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictWarning, ConfigError
@@ -77,6 +79,11 @@ def analytic(config: Config, material: Material) -> Analytic:
         raise ConfigError(f'model.topology: {model.topology} has no cells of known size')
     size = model.width, model.height, *model.mesh
     found = analytic_stiffness(material.young, material.thickness, *size, material.poisson)
+    if not np.isfinite(found.springs).all():
+        raise ConfigError(
+            f"Young's modulus {material.young:g} Pa times thickness {material.thickness:g} m is "
+            f'more than a number can hold'
+        )
     springs = tuple(float(f'{k:.6g}') for k in found.springs)
     config = replace(config, model=replace(model, springs=springs))
     mesh = build_mass_spring(config, rest_shape(model))

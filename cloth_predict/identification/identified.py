@@ -12,6 +12,7 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.identification.objectives.determined import LOOSE, Determined
+from cloth_predict.identification.optimisers.family import Method
 from cloth_predict.identification.optimisers.result import Result
 from cloth_predict.identification.provenance import HELD_OUT, with_provenance
 from cloth_predict.identification.task import Task
@@ -25,33 +26,18 @@ MOST_NAMED = 6
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How to search: see `Task.objective` for the usual optimiser and budget; seed of the search.
-
-    resume: a study to go on with.
-    """
-
-    optimiser: str | None = None
-    budget: int | None = None
-    jobs: int = 1
-    seed: int = 0
-    resume: Path | None = None
-
-
-@dataclass(frozen=True)
 class Outputs:
-    """Files that are written: the parameters, the curve of the cost, and the study."""
+    """Files that are written: the parameters, and the curve of the cost."""
 
     configuration: Path
     curve: Path
-    study: Path
 
     @classmethod
     def at(cls, output: Path) -> Outputs:
         """Beside a file, or in a folder."""
         if output.suffix.lower() not in ('.yaml', '.yml'):
             output = output / 'identified.yaml'
-        return cls(output, output.with_suffix('.png'), output.with_suffix('.study.jsonl'))
+        return cls(output, output.with_suffix('.png'))
 
 
 @dataclass(frozen=True)
@@ -98,14 +84,12 @@ class Identified:
     """
 
     task: Task
-    optimiser: str
-    settings: Settings
+    method: Method
     config: Config
     result: Result
     weight: float
     recordings: tuple[str, ...]
     held_out: tuple[str, ...]
-    study: Path
     determined: Determined | None = None
     scores: dict[str, Scores] = field(default_factory=dict)
 
@@ -147,15 +131,15 @@ class Identified:
         return {
             'objective': task.objective,
             'meaning': task.meaning,
-            'optimiser': self.optimiser,
-            'seed': self.settings.seed,
+            'optimiser': self.method.optimiser,
+            'seed': self.method.seed,
             'recordings': list(self.recordings),
             'held_out': list(self.held_out),
             'evaluations': found.evaluations,
             'refused': found.refused,
             'stopped': found.stopped,
             'interrupted': found.interrupted,
-            'study': str(self.study),
+            'study': self.method.study,
             'best_mm': self.trace[-1][1],
             'trace': [list(point) for point in self.trace],
             'parameters': {
@@ -200,7 +184,7 @@ class Identified:
         notes = {
             'objective': self.task.meaning,
             'recordings': ', '.join(self.recordings),
-            'search': f'{self.optimiser}, seed {self.settings.seed}: {found.evaluations} '
+            'search': f'{self.method.optimiser}, seed {self.method.seed}: {found.evaluations} '
             f'evaluations ({found.refused} refused), {found.stopped}; RMS error '
             f'{self.trace[0][1]:.4g} -> {self.trace[-1][1]:.4g} mm',
         }
@@ -214,7 +198,7 @@ class Identified:
         if self.loose:
             notes['not fixed by these recordings'] = _listed(self.loose)
         if self.determined is None:
-            notes['study'] = f'{self.study}, to go on with by --resume'
+            notes['study'] = self.method.resumable
         return notes
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Mapping
 from dataclasses import asdict
+from errno import EISDIR
+from os import strerror
 from pathlib import Path
-from textwrap import wrap
+from textwrap import TextWrapper
 
 from cloth_predict import __version__
 from cloth_predict.config import Config, dump, flatten
-from cloth_predict.evaluation.cases import Case, case_of
 from cloth_predict.formats.files import writing
-from cloth_predict.formats.recording import read
 from cloth_predict.types import MarkerSequence
 
 TRAINED, HELD_OUT = 'recordings', 'held out'
@@ -31,18 +31,6 @@ def content_hash(markers: MarkerSequence) -> str:
     return found.hexdigest()[:16]
 
 
-def recording_line(source: str, markers: MarkerSequence) -> str:
-    """Name a recording as a provenance has it."""
-    return f'{Path(source).name} (content {content_hash(markers)})'
-
-
-def read_cases(sources: Sequence[Path], config: Config) -> tuple[list[Case], tuple[str, ...]]:
-    """Read recordings as they are evaluated, and name each of them."""
-    recordings = [(str(source), read(source)) for source in sources]
-    cases = [case_of(recording, config, source) for source, recording in recordings]
-    return cases, tuple(recording_line(s, recording.markers) for s, recording in recordings)
-
-
 def kept(config: Config, searched: Container[str]) -> dict[str, str]:
     """Parameters that a search leaves alone, but on which its results depend."""
     return {
@@ -54,16 +42,35 @@ def kept(config: Config, searched: Container[str]) -> dict[str, str]:
 
 def with_provenance(config: Config, title: str, notes: Mapping[str, str]) -> str:
     """Return a parameter file that begins with comments: a title, and one note under each name."""
-    lines = [*wrap(f'{title} (cloth_predict {__version__}).', WIDTH)]
+    whole = TextWrapper(
+        WIDTH, subsequent_indent='    ', break_long_words=False, break_on_hyphens=False
+    )  # so that a path or an option can be searched for
+    lines = whole.wrap(f'{title} (cloth_predict {__version__}).')
     for name, note in notes.items():
-        lines += wrap(f'{name}: {note}', WIDTH, subsequent_indent='    ')
+        lines += whole.wrap(f'{name}: {note}')
     return ''.join(f'# {line}\n' for line in lines) + dump(config)
 
 
 def write_configuration(path: Path, text: str) -> None:
     """Write a parameter file in one piece. Raises FormatError naming it where that fails."""
-    new = path.with_name(f'.{path.name}.new')
+    check_output(path)
+    new = _new(path)
     with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
         new.write_text(text, encoding='utf-8')
         new.replace(path)
+
+
+def check_output(path: Path) -> None:
+    """Raise FormatError where a parameter file could not be written, as before a long search."""
+    new = _new(path)
+    with writing(path):
+        if path.is_dir():
+            raise IsADirectoryError(EISDIR, strerror(EISDIR))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        new.touch()
+        new.unlink()
+
+
+def _new(path: Path) -> Path:
+    """Where a file is made before it takes its place."""
+    return path.with_name(f'.{path.name}.new')

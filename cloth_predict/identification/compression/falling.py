@@ -9,6 +9,7 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.errors import ConfigError
+from cloth_predict.identification.failing import or_none
 from cloth_predict.identification.objectives.trajectory import Scenario, simulate
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.surface.assembly import build_mass_spring, rest_shape
@@ -80,6 +81,11 @@ def sheet(config: Config) -> MassSpring:
     return build_mass_spring(config, np.zeros((config.model.count, 3)))
 
 
+def times(duration: float) -> FloatArray:
+    """Ends of the steps [s], and the start."""
+    return np.asarray(STEP * np.arange(round(duration / STEP) + 1), float)
+
+
 @lru_cache(maxsize=8)
 def motion(config: Config, name: str, duration: float = DURATION) -> Motion:
     """Let the sheet of a configuration go in one of the `RELEASES`, by implicit steps.
@@ -88,20 +94,18 @@ def motion(config: Config, name: str, duration: float = DURATION) -> Motion:
     """
     model = sheet(config)
     position, velocity = released(config, RELEASES[name])
-    times: FloatArray = STEP * np.arange(round(duration / STEP) + 1, dtype=float)
-    held = np.broadcast_to(position[model.driven], (len(times), len(model.driven), 3))
-    nothing = np.zeros((len(times), 0, 3))
-    alone = Scenario(name, times, position, velocity, held, nothing, np.zeros(0, np.int64))
-    try:
-        with np.errstate(all='ignore'):
-            states = simulate(model, alone)
-    except FloatingPointError:
+    at = times(duration)
+    held = np.broadcast_to(position[model.driven], (len(at), len(model.driven), 3))
+    nothing = np.zeros((len(at), 0, 3))
+    alone = Scenario(name, at, position, velocity, held, nothing, np.zeros(0, np.int64))
+    states = or_none(lambda: simulate(model, alone))
+    if states is None:
         raise ConfigError(
             f'model: the dense sheet diverges in scenario {name}, with steps of {STEP:g} s'
-        ) from None
-    found = np.repeat(position[None], len(times), axis=0)
-    found[:, model.free] = states[:, : model.dim_x // 2].reshape(len(times), -1, 3)
-    return Motion(name, times, np.asarray(read_only(found)), velocity)
+        )
+    found = np.repeat(position[None], len(at), axis=0)
+    found[:, model.free] = states[:, : model.dim_x // 2].reshape(len(at), -1, 3)
+    return Motion(name, at, np.asarray(read_only(found)), velocity)
 
 
 def released(config: Config, release: Release) -> tuple[FloatArray, FloatArray]:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from cloth_predict.identification.compression.falling import times
 from cloth_predict.identification.compression.modal import Rival
 from cloth_predict.identification.compression.search import Compression
 from cloth_predict.identification.cost_curve import draw
@@ -22,13 +23,14 @@ def errors(found: Compression, path: Path) -> None:
     names = found.task.names
     figure = Figure(figsize=(9, 2.2 * len(names)), layout='constrained')
     axes = figure.subplots(len(names), sharex=True, squeeze=False)[:, 0]
-    times = np.linspace(0.0, found.task.duration, len(found.before[names[0]].error))
     for name, part in zip(names, axes, strict=True):
         for what, of, colour in (
             ('all equal', found.before, '0.6'),
             ('compressed', found.after, 'tab:red'),
         ):
-            part.semilogy(times[1:], of[name].error[1:], color=colour, label=what)
+            part.semilogy(
+                times(found.task.duration)[1:], of[name].error[1:], color=colour, label=what
+            )
         role = 'trained' if name in found.task.trained else 'held out'
         part.set(title=f'{name}, {role}', ylabel='MSE, m$^2$')
     axes[0].legend()
@@ -38,7 +40,7 @@ def errors(found: Compression, path: Path) -> None:
 
 def costs(found: Compression, path: Path) -> None:
     """Best RMS distance over evaluations (figures 5.3 and 5.8)."""
-    draw(found.trace, found.optimiser, found.result.evaluations, path)
+    draw(found.trace, found.method.optimiser, found.result.evaluations, path)
 
 
 def parameters(found: Compression, path: Path) -> None:

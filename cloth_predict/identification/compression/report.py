@@ -23,12 +23,14 @@ def summary(found: Compression, rivals: Sequence[Rival] = ()) -> dict[str, Any]:
         'from': list(task.source),
         'to': list(task.target),
         'parameters': found.found,
-        'optimiser': found.optimiser,
-        'seed': found.seed,
+        'optimiser': found.method.optimiser,
+        'seed': found.method.seed,
         'alpha': task.alpha,
         'evaluations': result.evaluations,
         'refused': result.refused,
         'stopped': result.stopped,
+        'interrupted': result.interrupted,
+        'study': found.method.study,
         'trace': [list(point) for point in result.trace],
         'scenarios': {
             name: {
@@ -39,7 +41,7 @@ def summary(found: Compression, rivals: Sequence[Rival] = ()) -> dict[str, Any]:
                 'rms_equal_m': _plain(found.before[name].rms),
                 'rms_m': _plain(found.after[name].rms),
             }
-            for name in task.names
+            for name in found.after
         },
         'rivals': [
             {
@@ -57,8 +59,9 @@ def summary(found: Compression, rivals: Sequence[Rival] = ()) -> dict[str, Any]:
 
 def text(found: Compression, rivals: Sequence[Rival] = ()) -> str:
     """Return the result as `compress` prints it."""
-    lines = [f'{name}: {note}' for name, note in _notes(found).items() if name != 'scenario']
-    lines += ['', *_scenarios(found)]
+    lines = [f'{name}: {note}' for name, note in _notes(found).items()]
+    if found.after:
+        lines += ['', *_scenarios(found)]
     if rivals:
         lines += ['', *_rivals(found, rivals)]
     return '\n'.join(lines)
@@ -67,8 +70,8 @@ def text(found: Compression, rivals: Sequence[Rival] = ()) -> str:
 def file(found: Compression) -> str:
     """Return the parameter file, with its provenance as comments."""
     notes = _notes(found)
-    for name in found.task.names:
-        before, after = found.before[name], found.after[name]
+    for name, after in found.after.items():
+        before = found.before[name]
         notes[name] = (
             f'{RELEASES[name].text}; cost {before.cost:.4g} -> {after.cost:.4g} m^2, RMS distance '
             f'{1e3 * before.rms:.4g} -> {1e3 * after.rms:.4g} mm'
@@ -91,19 +94,14 @@ def write(found: Compression, rivals: Sequence[Rival], folder: Path) -> None:
 
 
 def _notes(found: Compression) -> dict[str, str]:
-    task, result = found.task, found.result
-    (rows, cols), (fewer_rows, fewer_cols) = task.source, task.target
-    scale = 'with' if task.loads else 'without'
-    return {
-        'sheet': f'{rows} x {cols} -> {fewer_rows} x {fewer_cols} nodes, {found.found} parameters,'
-        f' {scale} a factor of gravity for each node',
-        'trained on': f'{", ".join(task.trained)}, {task.duration:g} s each, weight '
-        f'exp({task.alpha:g} t)',
-        'held out': ', '.join(n for n in task.names if n not in task.trained) or 'nothing',
-        'search': f'{found.optimiser}, seed {found.seed}: {result.evaluations} evaluations '
-        f'({result.refused} refused), {result.stopped}; cost {result.trace[0][1]:.4g} -> '
-        f'{result.cost:.4g} m^2',
+    task, method, result = found.task, found.method, found.result
+    notes = task.notes | {
+        'held out': ', '.join(task.held_out) or 'nothing',
+        'search': f'{found.found} parameters by {method.optimiser}, seed {method.seed}: '
+        f'{result.evaluations} evaluations ({result.refused} refused), {result.stopped}; cost '
+        f'{result.trace[0][1]:.4g} -> {result.cost:.4g} m^2',
     }
+    return notes | ({'study': method.resumable} if result.interrupted else {})
 
 
 def _scenarios(found: Compression) -> list[str]:

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from math import sqrt
 
 import numpy as np
 
 from cloth_predict.config import Config
+from cloth_predict.identification.compression.falling import times
 from cloth_predict.identification.compression.task import Task
+from cloth_predict.identification.failing import or_none
 from cloth_predict.identification.objectives.parallel import Called, Parallel
 from cloth_predict.identification.objectives.parameters import Space
-from cloth_predict.identification.optimisers.family import OPTIMISERS
+from cloth_predict.identification.objectives.trajectory import Trajectory
+from cloth_predict.identification.optimisers.family import Method
 from cloth_predict.identification.optimisers.result import Bounds, Callback, Result
 from cloth_predict.identification.workers import workers
 from cloth_predict.types import FloatArray
 
-BUDGET = 2000
-"""Evaluations of the model, where none are given."""
+USUAL = Method('gradient', 2000)
+"""How to search, where nothing else is asked for."""
 HEAVIEST = 10.0
 """Factor to both sides of 1 beyond which the factor of gravity G_i is not searched."""
 
@@ -44,25 +48,23 @@ class Followed:
 class Compression:
     """What came of a task: the configuration, and how it follows each motion by name.
 
-    before: the same with all parameters equal; result: of the search, over the trained motions;
-    found: number of parameters.
+    before: the same with all parameters equal; neither where it was not judged, as after Ctrl-C.
+    result: of the search, over the trained motions; found: number of parameters.
     """
 
     task: Task
-    optimiser: str
-    seed: int
+    method: Method
     found: int
     config: Config
     result: Result
-    before: Mapping[str, Followed]
-    after: Mapping[str, Followed]
+    before: Mapping[str, Followed] = field(default_factory=dict)
+    after: Mapping[str, Followed] = field(default_factory=dict)
 
     @property
     def trace(self) -> list[tuple[int, float]]:
         """Evaluations, and the best RMS distance [mm] over the trained motions after them."""
         task = self.task
-        size = len(self.before[task.names[0]].error)
-        later = np.exp(task.alpha * np.linspace(0.0, task.duration, size))
+        later = np.exp(task.alpha * times(task.duration))
         free = self.config.model.count - len(self.config.anchors.nodes)
         weight = len(task.trained) * free * later.sum()
         return [(number, 1e3 * sqrt(cost / weight)) for number, cost in self.result.trace]
@@ -72,27 +74,28 @@ class Compression:
         return self.after[name].cost / self.before[name].cost
 
 
-def compress(
+def searched(
     task: Task,
-    optimiser: str = 'gradient',
-    budget: int = BUDGET,
-    seed: int = 0,
+    method: Method = USUAL,
     jobs: int = 1,
     callback: Callback = lambda evaluations, best: None,
 ) -> Compression:
     """Search the parameters of the coarse sheet, from all equal (Gomes 2016, section 5.1).
 
-    budget: evaluations of the model, a gradient by its price; Ctrl-C keeps the best so far.
-    Raises DivergedError where no valid cost was found.
+    Ctrl-C keeps the best so far. Raises DivergedError where no valid cost was found.
     """
     objective = task.objective(task.trained, task.alpha)
-    space, rng = objective.space, np.random.default_rng(seed)
+    space = objective.space
     with workers(Called(objective), jobs) as do:
         costs = Parallel(objective, do)
-        found = OPTIMISERS[optimiser](costs, space.start, bounds(space), budget, rng, callback)
-    config = weighed(space.apply(found.best))
-    before, after = follow(task, task.equal), follow(task, config)
-    return Compression(task, optimiser, seed, len(space), config, found, before, after)
+        found = method.search(costs, space.start, bounds(space), task.facts, callback)
+    return Compression(task, method, len(space), weighed(space.apply(found.best)), found)
+
+
+def judged(found: Compression) -> Compression:
+    """Let the coarse sheet follow every motion, as it was found and with all equal."""
+    task = found.task
+    return replace(found, before=follow(task, task.equal), after=follow(task, found.config))
 
 
 def bounds(space: Space) -> Bounds:
@@ -123,13 +126,14 @@ def follow(task: Task, config: Config) -> dict[str, Followed]:
     for k, name in enumerate(task.names):
         objective = replace(task.objective(task.names, 0.0), space=Space(config, ()))
         scenario = objective.scenarios[k]
-        try:
-            with np.errstate(all='ignore'):
-                off = np.square(objective.residuals(k, np.zeros(0))).sum(axis=1)
-        except FloatingPointError:
-            off = np.full(len(scenario.times), np.nan)
-        if not np.isfinite(off).all():
+        off = or_none(partial(_squares, objective, k))
+        if off is None or not np.isfinite(off).all():
             off = np.full(len(scenario.times), np.nan)
         free = config.model.count - len(config.anchors.nodes)
         found[name] = Followed(float(scenario.weights(task.alpha) @ off), off / free)
     return found
+
+
+def _squares(objective: Trajectory, k: int) -> FloatArray:
+    """Squared distances of a motion, summed over the nodes [m^2], shape (frames,)."""
+    return np.asarray(np.square(objective.residuals(k, np.zeros(0))).sum(axis=1))

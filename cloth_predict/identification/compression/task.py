@@ -17,6 +17,7 @@ from cloth_predict.identification.compression.falling import (
 )
 from cloth_predict.identification.objectives.parameters import Space
 from cloth_predict.identification.objectives.trajectory import Trajectory
+from cloth_predict.identification.provenance import kept
 from cloth_predict.surface.assembly import topology_of
 from cloth_predict.types import IntArray
 
@@ -67,6 +68,8 @@ class Task:
         for name in self.names:
             if name not in RELEASES:
                 raise ConfigError(f'scenarios: {name} is none of {", ".join(RELEASES)}')
+            if name in self.trained and name in self.held_out:
+                raise ConfigError(f'scenarios: {name} is held out, and trained on')
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -90,6 +93,23 @@ class Task:
     def equal(self) -> Config:
         """The sheet with those of the target, all springs, dampers and masses equal."""
         return self._with(*self.target)
+
+    @property
+    def notes(self) -> dict[str, str]:
+        """What is searched, in words."""
+        (rows, cols), (fewer_rows, fewer_cols) = self.source, self.target
+        scale = 'with' if self.loads else 'without'
+        return {
+            'sheet': f'{rows} x {cols} -> {fewer_rows} x {fewer_cols} nodes, {scale} a factor of '
+            f'gravity for each node',
+            'trained on': f'{", ".join(self.trained)}, {self.duration:g} s each, weight '
+            f'exp({self.alpha:g} t)',
+        }
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """What the costs depend on, but for the values that are searched."""
+        return self.notes | kept(self.dense, ())
 
     def _with(self, rows: int, cols: int) -> Config:
         model = replace(self.surface.model, rows=rows, cols=cols)

@@ -12,14 +12,15 @@ from cloth_predict.errors import ClothPredictError, FormatError
 from cloth_predict.evaluation.cases import Case
 from cloth_predict.evaluation.judging import BLOCK, WARM_UP, asked_at
 from cloth_predict.evaluation.predictors import Hold, Predictor, Tracked
+from cloth_predict.identification.failing import or_none
 from cloth_predict.identification.objectives.parameters import Space
 from cloth_predict.surface.layout import free_markers
 from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.types import BoolArray, FloatArray, IntArray
 
 FARTHEST = 1.0
-"""Length [m] of the longest error that is told from longer ones; of a filter that fails it is that
-of every prediction. It keeps the cost finite, and one wild prediction from deciding a search."""
+"""Length [m] of the longest error that is told from longer ones, so that one wild prediction does
+not decide a search; of a filter that fails it is that of every prediction."""
 
 STEP = 0.01
 """Step of differences, on the scale of the search: 1 % of a positive parameter. A gate or a spring
@@ -44,8 +45,9 @@ class Horizon:
     parts = 1
 
     def part(self, k: int, vector: FloatArray) -> float:
-        """Cost."""
-        return float(np.square(self.residuals(k, vector)).sum())
+        """Cost; NaN where all errors are the longest: then the filter fails with this vector."""
+        cost = float(np.square(self.residuals(k, vector)).sum())
+        return cost if cost < (1.0 - 1e-9) * FARTHEST**2 * self.weight else float('nan')
 
     def part_gradient(self, k: int, vector: FloatArray) -> tuple[float, FloatArray]:
         """Not offered: the filter is no smooth function of all parameters."""
@@ -88,13 +90,7 @@ class Horizon:
 
     def _predicted(self, config: Config) -> FloatArray | None:
         """Predictions [m], shape (frames, markers, 3); None where the filter fails altogether."""
-        try:
-            with np.errstate(all='ignore'):
-                return self._followed(Tracked(config))
-        except ClothPredictError:
-            raise  # of the recording, and no matter of the parameters
-        except (FloatingPointError, np.linalg.LinAlgError, ValueError):  # SciPy's for NaN
-            return None
+        return or_none(lambda: self._followed(Tracked(config)))
 
     def _followed(self, predictor: Predictor) -> FloatArray:
         """Predictions [m] of a method after the frames chosen, shape (frames, markers, 3)."""

@@ -17,6 +17,7 @@ from scipy.special import expit, logit
 
 from cloth_predict.config import Config
 from cloth_predict.errors import ConfigError
+from cloth_predict.identification.provenance import APART
 from cloth_predict.surface.assembly import build_mass_spring
 from cloth_predict.types import FloatArray
 
@@ -180,6 +181,8 @@ def spelt_out(config: Config, names: Iterable[str] = LISTS) -> Config:
 def _parameters(config: Config, name: str) -> list[Parameter]:
     """All entries that a name stands for."""
     group, _, field = name.partition('.')
+    if group in APART:
+        raise ConfigError(f'{name}: has no say in how well the filter does, cannot be searched')
     whole = getattr(config, group, None)
     fields = {f.name: f for f in dataclasses.fields(whole)} if _is_group(whole) else {}
     if field not in fields:

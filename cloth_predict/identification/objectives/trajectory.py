@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloth_predict.config import Config
+from cloth_predict.identification.failing import or_none
 from cloth_predict.identification.objectives.parameters import Space
 from cloth_predict.identification.objectives.physics import Directions, gravity_factors
 from cloth_predict.identification.objectives.sensitivity import StepSlopes
@@ -112,11 +113,8 @@ class Trajectory:
 
     def part(self, k: int, vector: FloatArray) -> float:
         """Cost of a scenario; not finite where the model does not get to its end."""
-        try:
-            with np.errstate(all='ignore'):
-                return float(np.square(self.residuals(k, vector)).sum())
-        except FloatingPointError:
-            return float('nan')
+        cost = or_none(lambda: float(np.square(self.residuals(k, vector)).sum()))
+        return float('nan') if cost is None else cost
 
     def residuals(self, k: int, vector: FloatArray) -> FloatArray:
         """Weighted offsets [m] of a scenario, shape (steps + 1, m); 0 where unknown.
@@ -129,11 +127,8 @@ class Trajectory:
 
     def part_gradient(self, k: int, vector: FloatArray) -> tuple[float, FloatArray]:
         """Cost of a scenario and its derivative by the vector, by the adjoint of the steps."""
-        try:
-            with np.errstate(all='ignore'):
-                return self._part_gradient(k, vector)
-        except FloatingPointError:
-            return float('nan'), np.zeros(len(self.space))
+        found = or_none(lambda: self._part_gradient(k, vector))
+        return (float('nan'), np.zeros(len(self.space))) if found is None else found
 
     def sensitivity(self, k: int, vector: FloatArray) -> FloatArray:
         """Derivative of `residuals`, shape (steps + 1, m, n), by tangents forwards."""

@@ -59,6 +59,6 @@ def _library() -> Any:
         import cma
     except ImportError:
         raise ClothPredictError(
-            "the optimiser cma needs the package cma: pip install 'cloth_predict[identify]'"
+            'the optimiser cma needs the package cma: pip install cma'
         ) from None
     return cma

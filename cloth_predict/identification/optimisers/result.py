@@ -143,12 +143,17 @@ class Search:
         return cost
 
     def run(self, work: Callable[[], str]) -> Result:
-        """Let an optimiser work until it, the budget or Ctrl-C ends it; `work` says why it did."""
+        """Let an optimiser work until it, the budget or Ctrl-C ends it; `work` says why it did.
+
+        Before there is a result, Ctrl-C is left to the caller.
+        """
         try:
             stopped = work()
         except SpentError:
             stopped = 'the budget is spent'
         except KeyboardInterrupt:
+            if self.best is None:
+                raise
             stopped = INTERRUPTED
         if self.best is None:
             raise DivergedError(

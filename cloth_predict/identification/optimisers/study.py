@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,28 +16,41 @@ from cloth_predict.formats.files import writing
 from cloth_predict.identification.optimisers.result import Costs
 from cloth_predict.types import FloatArray
 
-FORMAT = 'cloth_predict identify 1'
+FORMAT = 'cloth_predict study 1'
+
+
+@dataclass(frozen=True)
+class StudyFile:
+    """Where a search is kept as it goes, and whether it goes on with what is there."""
+
+    path: Path
+    resume: bool = False
+
+    @classmethod
+    def beside(cls, output: Path, resume: Path | None = None) -> StudyFile:
+        """Beside the file of the result, unless there is one to go on with."""
+        return cls(resume or output.with_suffix('.study.jsonl'), resume is not None)
 
 
 class Study:
     """Costs that remember what was evaluated, in a file of JSON lines.
 
     The first line says of what the study is; each further one holds a check of the vector, its
-    cost, and maybe its gradient. A search is the same for the same seed, so that one that is
-    continued asks for the same vectors again and gets the old costs from the file, until it comes
-    to where it ended: no state of any optimiser needs to be kept.
+    cost, and the values of its gradient, if any. A search is the same for the same seed, so that
+    one that is continued asks for the same vectors again and gets the old costs from the file,
+    until it comes to where it ended: no state of any optimiser needs to be kept.
     """
 
-    def __init__(self, costs: Costs, path: Path, facts: Mapping[str, str], resume: bool) -> None:
-        """Begin a file, or go on with one.
+    def __init__(self, costs: Costs, file: StudyFile, facts: Mapping[str, str]) -> None:
+        """Begin a file, or go on with it.
 
         facts: what the costs depend on, by name. Raises FormatError where the file is of something
         else, and names the first fact that differs.
         """
-        self._costs, self._path = costs, path
-        self._old: list[list[Any]] = _read(path, facts) if resume else []
+        self._costs, self._path = costs, file.path
+        self._old: list[list[Any]] = _read(file.path, facts) if file.resume else []
         self._next = 0
-        if not resume:
+        if not file.resume:
             self._write({'format': FORMAT, **facts}, 'w')
 
     @property
@@ -51,7 +65,7 @@ class Study:
 
     def values(self, vectors: Sequence[FloatArray]) -> list[float]:
         """Costs, those that are known from the file."""
-        old = self._remembered(vectors)
+        old = self._remembered(vectors, 2)
         found = [_float(entry[1]) for entry in old]
         for vector, cost in zip(
             vectors[len(old) :], self._costs.values(vectors[len(old) :]), strict=True
@@ -62,18 +76,18 @@ class Study:
 
     def gradient(self, vector: FloatArray) -> tuple[float, FloatArray]:
         """Cost and derivative, from the file if known."""
-        if old := self._remembered([vector]):
-            _, cost, slope = old[0]
+        if old := self._remembered([vector], 2 + len(vector)):
+            _, cost, *slope = old[0]
             return _float(cost), np.array(slope, float)
-        cost, slope = self._costs.gradient(vector)
-        self._write([_check(vector), _plain(cost), [_plain(s) for s in slope.tolist()]])
-        return cost, slope
+        found = self._costs.gradient(vector)
+        self._write([_check(vector), _plain(found[0]), *map(_plain, found[1].tolist())])
+        return found
 
-    def _remembered(self, vectors: Sequence[FloatArray]) -> list[list[Any]]:
-        """Entries of the file for the first of the vectors."""
+    def _remembered(self, vectors: Sequence[FloatArray], size: int) -> list[list[Any]]:
+        """Entries of the file, of `size` values each, for the first of the vectors."""
         entries = self._old[self._next : self._next + len(vectors)]
         for entry, vector in zip(entries, vectors, strict=False):
-            if entry[0] != _check(vector):
+            if entry[0] != _check(vector) or len(entry) != size:
                 raise FormatError(
                     f'{self._path}: line {self._next + 2} is of another search than this: the '
                     f'optimiser, its version or the settings of the search differ'
@@ -96,7 +110,7 @@ def _read(path: Path, facts: Mapping[str, str]) -> list[list[Any]]:
     except ValueError:
         head = None
     if not isinstance(head, dict) or head.get('format') != FORMAT:
-        raise FormatError(f'{path}: is no study of identify')
+        raise FormatError(f'{path}: is no study of a search')
     for name in dict.fromkeys([*facts, *head]):
         if name != 'format' and head.get(name) != facts.get(name):
             raise FormatError(
@@ -107,15 +121,24 @@ def _read(path: Path, facts: Mapping[str, str]) -> list[list[Any]]:
     for number, line in enumerate(lines[1:], 2):
         try:
             entry = json.loads(line)
-            if not line.endswith('\n') or not isinstance(entry, list) or len(entry) not in (2, 3):
+            if not line.endswith('\n') or not _is_evaluation(entry):
                 raise ValueError
         except ValueError:
             if number < len(lines):
                 raise FormatError(f'{path}: line {number} is no evaluation') from None
-            path.write_text(''.join(lines[:-1]), encoding='utf-8')
+            with writing(path):
+                path.write_text(''.join(lines[:-1]), encoding='utf-8')
             break
         entries.append(entry)
     return entries
+
+
+def _is_evaluation(entry: Any) -> bool:
+    """Whether a line holds a check, and one number or more, `null` for one that is not finite."""
+    match entry:
+        case [str(), _, *_]:
+            return all(isinstance(value, int | float | None) for value in entry[1:])
+    return False
 
 
 def _check(vector: FloatArray) -> str:

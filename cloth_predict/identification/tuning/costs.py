@@ -13,6 +13,7 @@ from cloth_predict.evaluation.cases import Case
 from cloth_predict.evaluation.judging import FEWEST
 from cloth_predict.evaluation.predictors import Hold, Tracked
 from cloth_predict.evaluation.runs import follow
+from cloth_predict.identification.failing import or_none
 from cloth_predict.identification.objectives.horizon import asked_of
 from cloth_predict.identification.tuning.likelihood import Fitness, fitness
 from cloth_predict.metrics import distances
@@ -53,9 +54,11 @@ def prediction_errors(case: Case, config: Config, horizon: float) -> Errors:
 def horizon_error(cases: Sequence[Case], config: Config, horizon: float) -> float:
     """RMS error [mm] `horizon` [s] ahead over all recordings, of the free markers.
 
-    NaN of a filter that predicts less than 95 % of what was asked.
+    NaN of a filter that fails, or predicts less than 95 % of what was asked.
     """
-    found = [prediction_errors(case, config, horizon) for case in cases]
+    found = or_none(lambda: [prediction_errors(case, config, horizon) for case in cases])
+    if found is None:
+        return nan
     count = sum(one.count for one in found)
     if sum(one.predicted for one in found) < FEWEST * count:
         return nan
@@ -74,5 +77,5 @@ def normalised_error(cases: Sequence[Case], config: Config, horizon: float) -> f
 
 def total_fitness(cases: Sequence[Case], config: Config) -> Fitness:
     """How likely all measurements of the recordings are; see `fitness`."""
-    found = [fitness(case.markers, config, case.name) for case in cases]
-    return sum(found[1:], found[0])
+    found = or_none(lambda: [fitness(case.markers, config, case.name) for case in cases])
+    return Fitness(nan, 0) if found is None else sum(found[1:], found[0])

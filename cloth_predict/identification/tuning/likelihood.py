@@ -12,6 +12,7 @@ from cloth_predict.errors import FormatError
 from cloth_predict.evaluation.cases import Case, relabelled
 from cloth_predict.evaluation.judging import WARM_UP
 from cloth_predict.filters.linear import root
+from cloth_predict.identification.failing import or_none
 from cloth_predict.tracker import NANOSECONDS, Tracker
 from cloth_predict.types import Innovation, MarkerSequence
 
@@ -34,12 +35,15 @@ def measurements(case: Case, config: Config) -> MarkerSequence:
     """Return what every candidate is given: the markers with their labels put right, once.
 
     Were each candidate to choose its own measurements, the best one would be that which leaves
-    out the most. The labels are those that the configured tracker finds, unless it loses markers.
+    out the most. The labels are those that the configured tracker finds, unless it fails or loses
+    markers.
     """
     markers = case.markers
     if not config.association.check_labels or not case.labelled.all():
         return markers
-    found = relabelled(markers, case.points, config, case.name)
+    found = or_none(lambda: relabelled(markers, case.points, config, case.name))
+    if found is None:
+        return markers
     kept = float(found.visible.sum() / max(markers.visible.sum(), 1))
     return found if kept >= FEWEST_KEPT else markers
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -118,7 +119,7 @@ def _failures(storage: str | None, name: str) -> Iterator[None]:
     try:
         yield
     except (OptunaError, SQLAlchemyError, ImportError, RuntimeError) as error:
-        why = str(error).split('[SQL')[0]
+        why = re.split(r'\[SQL|\(Background', str(error))[0].rstrip()
         raise ClothPredictError(f'study {name} in {storage}: {why}') from None
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import inf, isfinite, nan
-
-import numpy as np
+from math import inf, isfinite
 
 from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictError
@@ -66,12 +64,9 @@ class Task:
 
     def cost(self, cases: Sequence[Case], config: Config) -> float:
         """Cost of a configuration on these recordings."""
-        try:
-            if self.method == 'likelihood':
-                return total_fitness(cases, config).cost
-            return horizon_error(cases, config, self.horizon)
-        except (FloatingPointError, np.linalg.LinAlgError):
-            return nan
+        if self.method == 'likelihood':
+            return total_fitness(cases, config).cost
+        return horizon_error(cases, config, self.horizon)
 
     @property
     def facts(self) -> dict[str, str]:

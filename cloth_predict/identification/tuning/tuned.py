@@ -14,10 +14,11 @@ from cloth_predict.evaluation.cases import Case
 from cloth_predict.identification.provenance import (
     HELD_OUT,
     TRAINED,
-    read_cases,
+    check_output,
     with_provenance,
     write_configuration,
 )
+from cloth_predict.identification.recordings import read_apart
 from cloth_predict.identification.tuning.costs import horizon_error
 from cloth_predict.identification.tuning.search import (
     TRIALS,
@@ -183,10 +184,10 @@ def tune(
     Ctrl-C writes the best so far. What is held out has no say in the search.
     """
     config = configuration.load(config_path)
+    check_output(output)
     horizon = config.horizon if settings.horizon is None else settings.horizon
-    cases, names = read_cases(sources, config)
-    others, held = read_cases(held_out, config)
-    task = prepared(config, cases, settings.method, horizon)
+    trained, others = read_apart(sources, held_out, config)
+    task = prepared(config, trained.cases, settings.method, horizon)
     proposals = proposals_for(task, settings.seed, settings.storage, settings.study)
     trials = settings.trials or (task.noise.grid_size if settings.method == 'grid' else TRIALS)
     found = search(task, proposals, trials, settings.jobs, progress)
@@ -195,11 +196,11 @@ def tune(
         if found.interrupted
         else with_scale(task, found.values, found.cost)
     )
-    tuned = Tuned(task, chosen, found, settings, names, held)
+    tuned = Tuned(task, chosen, found, settings, trained.lines, others.lines)
     write_configuration(output, tuned.file())  # before what takes longer, and may be cut off
     if found.interrupted:
         return tuned
-    tuned = replace(tuned, scores=_scores(task, chosen, cases, others))
+    tuned = replace(tuned, scores=_scores(task, chosen, trained.cases, others.cases))
     write_configuration(output, tuned.file())
     return tuned
 
