@@ -7,6 +7,7 @@ import pytest
 from references import central_differences, order_of
 from scipy.integrate import solve_ivp
 
+from cloth_predict.experiments.goeller2015.friction import Rounded
 from cloth_predict.integrators import RungeKutta
 from cloth_predict.models.ruler import Ruler
 from cloth_predict.simulate_ruler import ANNEX_A, Shot, measured, random_shot, slide
@@ -184,17 +185,7 @@ def test_the_events_are_those_of_friction_that_is_rounded_off_ever_so_little():
     # an implicit solver that knows of no event, with friction mu N v / sqrt(v^2 + eps^2)
     eps, shot = 1e-5, ANNEX_A[4]
 
-    class Rounded(Ruler):
-        def f(self, x, u):
-            turn = np.exp(1j * x[2])
-            slip = self._velocities(x, turn)
-            pull = -self.grip * slip / np.sqrt(np.abs(slip) ** 2 + eps**2)
-            force = pull.sum() * turn
-            moment = (self.places * pull.imag).sum() / self.inertia
-            return np.array([*x[3:], force.real, force.imag, moment])
-
-    r = shot.ruler
-    rounded = Rounded(r.L, r.L1, r.L2, r.mu, r.g)
+    rounded = Rounded.like(shot.ruler, eps)
     found = solve_ivp(
         lambda t, x: rounded.f(x, NO_INPUT), (0, 3.2), shot.start, method='LSODA', rtol=1e-9,
         atol=1e-11,

@@ -68,7 +68,7 @@ class Ruler:
         A contact without velocity has no friction: what holds it there is found by `arrested`.
         """
         turn = np.exp(1j * x[..., ANGLE])
-        pulls = -self.grip * _direction(self._velocities(x, turn))
+        pulls = self._pulls(x, turn)
         force = pulls.sum(axis=-1) * turn
         after = np.empty_like(x)
         after[..., :3] = x[..., 3:]
@@ -114,8 +114,7 @@ class Ruler:
     def friction(self, x: FloatArray) -> ComplexArray:
         """Friction on A and B by the mass of the bar [N/kg] as x + iy, shape (..., 2)."""
         turn = np.exp(1j * x[..., ANGLE])
-        pulls = -self.grip * _direction(self._velocities(x, turn))
-        return np.asarray(pulls * turn[..., None])
+        return np.asarray(self._pulls(x, turn) * turn[..., None])
 
     def slip(self, x: FloatArray) -> FloatArray:
         """Speeds of A and B [m/s], shape (..., 2)."""
@@ -207,6 +206,12 @@ class Ruler:
         turning = dt * np.abs(self.places) * x[..., SPIN, None] ** 2
         return np.asarray(by_each.sum(axis=-1) + turning)
 
+    def _pulls(self, x: FloatArray, turn: ComplexArray) -> ComplexArray:
+        """Friction on the contacts by the mass [N/kg], along and across the bar, (..., 2)."""
+        velocity = self._velocities(x, turn)
+        speed = np.abs(velocity)
+        return np.asarray(-self.grip * velocity / np.where(speed > 0.0, speed, 1.0))
+
     def _velocities(self, x: FloatArray, turn: ComplexArray) -> ComplexArray:
         """Velocities of the contacts [m/s], along and across the bar, shape (..., 2)."""
         centre = _velocity(x) * turn.conj()
@@ -219,9 +224,3 @@ def _centre(x: FloatArray) -> ComplexArray:
 
 def _velocity(x: FloatArray) -> ComplexArray:
     return np.asarray(x[..., 3] + 1j * x[..., 4])
-
-
-def _direction(velocity: ComplexArray) -> ComplexArray:
-    """Unit vector along a velocity; zero where there is none."""
-    speed = np.abs(velocity)
-    return np.asarray(velocity / np.where(speed > 0.0, speed, 1.0))

@@ -137,8 +137,7 @@ class RulerTracker:
 
     def certain(self, stop: Stop) -> bool:
         """Whether a stop is known as well as the configuration asks for."""
-        place, angle = np.sqrt(stop.cov[0, 0] + stop.cov[1, 1]), np.sqrt(stop.cov[2, 2])
-        return bool(place <= self.config.stop_position and angle <= self.config.stop_angle)
+        return stop.certain(self.config.stop_position, self.config.stop_angle)
 
     def health(self) -> Health:
         """How well the bar is known, in one line."""

@@ -13,16 +13,30 @@ from cloth_predict.types import BoolArray, FloatArray
 
 @dataclass(frozen=True)
 class Stop:
-    """The end of a motion.
+    """The end of a motion in the plane.
 
-    time [s] from now on, and its sigma; mean, shape (m,), and covariance, (m, m), of what comes
-    to rest.
+    time [s] from now on, and its sigma; mean, shape (3,), and covariance, (3, 3), of the pose at
+    rest: x, y [m], angle [rad].
     """
 
     time: float
     time_sigma: float
     mean: FloatArray
     cov: FloatArray
+
+    @property
+    def place_sigma(self) -> float:
+        """Root mean square of the expected distance [m] from the place of rest."""
+        return float(np.sqrt(self.cov[0, 0] + self.cov[1, 1]))
+
+    @property
+    def angle_sigma(self) -> float:
+        """Sigma of the angle at rest [rad]."""
+        return float(np.sqrt(self.cov[2, 2]))
+
+    def certain(self, place: float, angle: float) -> bool:
+        """Whether its sigmas are within these [m, rad]."""
+        return self.place_sigma <= place and self.angle_sigma <= angle
 
 
 def at_rest(
