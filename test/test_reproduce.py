@@ -21,6 +21,7 @@ from cloth_predict.experiments import (
     shaken,
     stiff,
     towel,
+    works,
 )
 from cloth_predict.experiments.frames import Frames, Track, held
 from cloth_predict.experiments.recursion import EulerStep, by_the_letter, followed, tracked
@@ -55,12 +56,14 @@ def test_every_figure_with_a_number_has_an_experiment():
     ],
 )
 def test_only_takes_figures_chapters_and_names(only, names):
-    assert [experiment.name for experiment in gomes2016.chosen(only)] == names
+    assert [experiment.name for experiment in works.chosen('gomes2016', only)] == names
 
 
 def test_a_figure_that_is_not_there_is_named():
-    with pytest.raises(ConfigError, match=r'--only 6\.13: no such figure; there are 3\.5-3\.8'):
-        gomes2016.chosen(['6.6', '6.13'])
+    with pytest.raises(
+        ConfigError, match=r'--only 6\.13: no such figure in gomes2016; there are 3\.5-3\.8'
+    ):
+        works.chosen('gomes2016', ['6.6', '6.13'])
 
 
 def test_ctrl_c_keeps_the_rows_that_are_done(tmp_path, monkeypatch, capsys):
@@ -72,7 +75,7 @@ def test_ctrl_c_keeps_the_rows_that_are_done(tmp_path, monkeypatch, capsys):
         return Row('1.1', 'a | b', 'c', 'd', 'e', {'lost': math.inf, 'kept': 1.5}, ('x.png',))
 
     found = Experiment(('1.1',), 'a', row), Experiment(('1.2',), 'b', stop)
-    monkeypatch.setattr(gomes2016, 'EXPERIMENTS', found)
+    monkeypatch.setitem(works.WORKS, 'gomes2016', found)
     assert main(['reproduce', 'gomes2016', '-o', str(tmp_path / 'out')]) == 130
     assert capsys.readouterr() == ('', '')
     (kept,) = json.loads((tmp_path / 'out/table.json').read_text())
@@ -89,9 +92,9 @@ def test_progress_adds_up_to_one(tmp_path, monkeypatch):
         return Row('1', 'a', 'b', 'c', 'd')
 
     both = Experiment(('1',), 'a', row), Experiment(('2',), 'b', row)
-    monkeypatch.setattr(gomes2016, 'EXPERIMENTS', both)
+    monkeypatch.setitem(works.WORKS, 'gomes2016', both)
     shares = []
-    gomes2016.reproduce(Scope(tmp_path), (), lambda name, share: shares.append(share))
+    works.reproduce('gomes2016', Scope(tmp_path), (), lambda name, share: shares.append(share))
     assert sum(shares) == pytest.approx(1.0, abs=1e-12)  # rounding
 
 

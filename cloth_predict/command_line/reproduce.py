@@ -8,22 +8,25 @@ from pathlib import Path
 
 from cloth_predict.command_line.options import Add, progress_bar
 from cloth_predict.errors import ConfigError
-from cloth_predict.experiments.gomes2016 import EXPERIMENTS, reproduce, table
 from cloth_predict.experiments.rows import Scope
+from cloth_predict.experiments.works import WORKS, reproduce, table
 from cloth_predict.formats.files import make_folder
 
 
 def add(command: Add) -> None:
     """Add the command."""
     parser = command('reproduce', _reproduce, 'repeat the experiments of a work, and compare')
-    parser.add('work', choices=['gomes2016'])
+    parser.add('work', choices=sorted(WORKS))
     parser.add(
         '--only',
         nargs='+',
         default=[],
         metavar='FIGURE',
         help='figures such as 6.6, or chapters; there are '
-        + ', '.join(experiment.name for experiment in EXPERIMENTS),
+        + '; '.join(
+            f'{work}: ' + ', '.join(experiment.name for experiment in experiments)
+            for work, experiments in WORKS.items()
+        ),
     )
     parser.add(
         '--quick', action='store_true', help='shorter runs and fewer iterations: some minutes'
@@ -50,7 +53,7 @@ def _reproduce(options: argparse.Namespace) -> None:
             bar.set_description_str(f'figures {name}', refresh=False)
             bar.update(share)
 
-        rows = reproduce(scope, options.only, show)
+        rows = reproduce(options.work, scope, options.only, show)
     if options.json:
         print(json.dumps([row.summary() for row in rows]))
         return
