@@ -52,7 +52,7 @@ setup(
         'tqdm>=4.66',
     ],
     extras_require={
-        # What the searches of `identify` and `tune` stand on; no node and no other command does.
+        # What `identify`, `tune` and `compress --optimiser cma` search with; nothing else needs it.
         'identify': SEARCHES,
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': [

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cloth_predict import cli
 from cloth_predict.formats.bag import read_recording
 
 ROOT = Path(__file__).parents[1]
@@ -86,6 +87,12 @@ def test_command(command, folder):
     )
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.strip()
+
+
+@pytest.mark.parametrize('command', re.findall(r'`(cloth-predict [a-z]+ [^`]+)`', TEXT))
+def test_command_that_takes_minutes_has_options_that_there_are(command):
+    options = cli._parser().parse_args(shlex.split(command)[1:])
+    assert options.call.__name__ == f'_{command.split()[1]}'
 
 
 def test_table_of_errors_is_what_evaluate_finds(folder):
