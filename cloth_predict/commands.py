@@ -70,7 +70,8 @@ def convert(source: Path, output: Path) -> MarkerSequence:
 def predict(source: Path, config_path: Path, output: Path, progress: Progress) -> Counter[str]:
     """Write the estimate and the prediction of every frame; returns what became of the frames.
 
-    A frame without a prediction is counted as `unpredicted`.
+    A frame without a prediction is counted as `unpredicted`. Raises FormatError that says why
+    where no frame has shown a surface.
     """
     keep_source(source, output)
     config = configuration.load(config_path)
@@ -87,6 +88,8 @@ def predict(source: Path, config_path: Path, output: Path, progress: Progress) -
                 except FrameError:
                     unpredicted += 1
             progress(1, len(markers))
+        if not tracker.started:
+            raise FormatError(f'{source}: {tracker.health().text}')
     return tracker.counts + Counter(unpredicted=unpredicted)
 
 

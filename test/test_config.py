@@ -327,6 +327,49 @@ def test_the_size_of_a_surface(file: Path) -> None:
     assert refused(file, text) == message
 
 
+@pytest.mark.parametrize(
+    ('text', 'expected'),
+    [
+        ('model: {kind: superquadric}', 'model.nodes: topology closed needs a number of nodes of '
+         'at least 4, here or by labels'),
+        ('model: {kind: superquadric, nodes: 9, topology: delaunay}', 'model.topology: delaunay '
+         'has no meaning with kind superquadric'),
+        ('model: {topology: closed, nodes: 9}', 'model.topology: closed has no meaning with kind '
+         'mass_spring'),
+        ('model: {kind: superquadric, nodes: 9}\nanchors: {nodes: [0]}', 'anchors.nodes: has no '
+         'meaning with model.kind superquadric'),
+        ('model: {kind: superquadric, nodes: 9}\nwind: {kind: normal}', 'wind.kind: has no '
+         'meaning with model.kind superquadric'),
+        ('model: {kind: superquadric, nodes: 9, masses: [1.0]}', 'model.masses: 1 values, but the '
+         'model has 9 nodes'),
+        ('model: {kind: superquadric, nodes: 9}\nbody: {nodes: 3}', 'body.nodes: a closed mesh '
+         'has at least 4 nodes'),
+        ('model: {kind: superquadric, nodes: 9}\nfilter: {kind: reduced_rank}', 'filter.kind '
+         'reduced_rank does not work with model.kind superquadric'),
+        ('filter: {kind: decoupled}', 'filter.kind decoupled does not work with model.kind '
+         'mass_spring'),
+        ('model: {kind: superquadric, nodes: 4}\nlabels: [a, b, c, d, e]', 'labels: 5 labels, but '
+         'model.nodes has only 4 nodes'),
+    ],
+)  # fmt: skip
+def test_bodies_that_do_not_fit(file: Path, text: str, expected: str) -> None:
+    assert refused(file, text) == expected
+
+
+def test_the_size_of_a_body(file: Path) -> None:
+    config = load(body(file, 'model: {kind: superquadric, nodes: 30}\nlabels: [a, b]'))
+    model = config.model
+    assert (model.is_body, model.topology, model.count, model.shape) == (
+        True, 'closed', 30, (1, 30)
+    )  # fmt: skip
+    assert not config.nodes_are_markers
+    file.write_text(dump(config), encoding='utf-8')
+    assert load(file) == config
+    text = 'labels: [a, b, c, d]\nmodel: {kind: superquadric}\nbody: {mesh: markers}'
+    assert load(body(file, text)).nodes_are_markers
+    assert not load(body(file, f'{text[:-1]}, nodes: 4}}')).nodes_are_markers
+
+
 def test_a_label_listed_twice(file: Path) -> None:
     assert refused(file, 'labels: [a, b, a]').startswith('labels: ')
 

@@ -88,7 +88,7 @@ def test_linter_bans_every_ros_package_that_is_a_dependency(manifest):
 
 
 # --- layers: types <- models, integrators, observations <- filters <- surface, markers <- tracking
-# <- tracker <- {evaluation, cli, nodes}
+# <- bodies <- tracker <- {evaluation, cli, nodes}
 
 ONLY = {
     'types': {'types', 'errors'},
@@ -100,11 +100,13 @@ ONLY = {
     'observations': {'types', 'errors', 'models'},
 }
 ABOVE = {'identification', 'experiments'}
+TRACKING = {'tracking', 'bodies', 'tracker'}
 NEVER = {
     'filters': {
         'surface',
         'markers',
         'tracking',
+        'bodies',
         'tracker',
         'evaluation',
         *ABOVE,
@@ -112,9 +114,19 @@ NEVER = {
         'command_line',
         'nodes',
     },
-    'surface': {'tracking', 'tracker', 'evaluation', *ABOVE, 'cli', 'command_line', 'nodes'},
-    'markers': {'tracking', 'tracker', 'evaluation', *ABOVE, 'cli', 'command_line', 'nodes'},
-    'tracking': {'tracker', 'evaluation', *ABOVE, 'cli', 'command_line', 'nodes', 'formats'},
+    'surface': {*TRACKING, 'evaluation', *ABOVE, 'cli', 'command_line', 'nodes'},
+    'markers': {*TRACKING, 'evaluation', *ABOVE, 'cli', 'command_line', 'nodes'},
+    'tracking': {
+        'bodies',
+        'tracker',
+        'evaluation',
+        *ABOVE,
+        'cli',
+        'command_line',
+        'nodes',
+        'formats',
+    },
+    'bodies': {'tracker', 'evaluation', *ABOVE, 'cli', 'command_line', 'nodes', 'formats'},
     'tracker': {'evaluation', *ABOVE, 'cli', 'command_line', 'nodes', 'formats'},
     'evaluation': {*ABOVE, 'cli', 'command_line', 'nodes'},
     'identification': {'experiments', 'cli', 'command_line', 'nodes'},

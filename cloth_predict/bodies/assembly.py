@@ -55,6 +55,12 @@ class Assembly:
         """State, shape (dim_x,), at coordinates q, shape (dim_q,)."""
         return np.append(q, np.zeros(self.model.dim_x - len(q)))
 
+    def rigid(self, x: FloatArray) -> FloatArray:
+        """State, shape (dim_x,), of a body that keeps its shape from now on."""
+        x = x.copy()
+        x[self.body.dim_q :][GLOBAL.start : self.body.dim_q] = 0.0
+        return x
+
 
 def free_parameters(settings: BodyConfig) -> BoolArray:
     """Which global parameters move, shape (11,). Raises ConfigError for a name that is none."""

@@ -53,7 +53,7 @@ class Filling:
 
     def applied(self, belief: Belief) -> Belief:
         """The belief with the displacements of the unseen nodes, and their rates, filled in."""
-        if not len(self.unseen) or not isinstance(belief, BlockGaussian):
+        if not len(self.unseen) or not isinstance(belief, BlockGaussian) or not len(belief.own):
             return belief
         mean, own = belief.mean.copy(), belief.own.copy()
         own[self.unseen] = np.einsum('us,sij->uij', self.weight**2, own[self.seen])

@@ -40,14 +40,17 @@ class BodyFollower:
     def recover(
         self, before: BodyTrack, after: BodyTrack, frame: Frame
     ) -> tuple[BodyTrack, Step] | None:
-        """Find a body that is elsewhere, or back after a while, by its shape; or start anew."""
-        patience = self._config.association.patience * NANOSECONDS
-        absent = np.median(before.stamp - before.attached.seen) > patience
-        back = absent and 2 * (frame.visible.sum() + len(frame.points)) > len(before.attached)
-        if not back and after.stamp - after.good <= patience:
+        """Find a body that is gone by its shape, if it is among the markers of the frame.
+
+        Where it is not for `association.patience`, another body is started.
+        """
+        if not before.gone:
             return None
         again = found_again(before, frame, self._config)
-        return self.start(frame) if again is None else follow(again, frame, self._config)
+        if again is not None:
+            return follow(again, frame, self._config)
+        patience = self._config.association.patience * NANOSECONDS
+        return self.start(frame) if after.stamp - after.good > patience else None
 
     def estimate(self, track: BodyTrack) -> Surface:
         """Return the surface at the frame of the track."""

@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from cloth_predict.bodies.association import UNNAMED, spacing
 from cloth_predict.bodies.track import BodyTrack, ahead
@@ -19,8 +18,8 @@ from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.tracking.track import Frame
 from cloth_predict.types import FloatArray, Gaussian
 
-FEWEST = 4
-"""Markers with labels that fix a motion with some to spare."""
+FEWEST, SHARE = 8, 0.25
+"""Markers, and share of those on a body, that fix its motion with some to spare."""
 CLOSE = 0.25
 """RMS distance, by that between markers, up to which a body is found."""
 ROUNDS = 50
@@ -41,17 +40,22 @@ class Motion:
 
 
 def aligned(places: FloatArray, points: FloatArray) -> Motion:
-    """The motion that lays places onto points, pair by pair [m], both (k, 3), by least squares."""
+    """The motion that lays places onto points, pair by pair [m], both (k, 3) (Kabsch 1976).
+
+    Of points on a line, which do not tell it, any of those that fit best.
+    """
     middle, target = places.mean(axis=0), points.mean(axis=0)
-    turn, rssd = Rotation.align_vectors(points - target, places - middle)
-    rotation = turn.as_matrix()
-    return Motion(rotation, target - rotation @ middle, float(rssd) / np.sqrt(len(places)))
+    left, _, right = np.linalg.svd((points - target).T @ (places - middle))
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    found = Motion(turn, target - turn @ middle, np.inf)
+    off = np.sum((found.apply(places) - points) ** 2, axis=1)
+    return replace(found, rms=float(np.sqrt(off.mean())))
 
 
 def registered(places: FloatArray, points: FloatArray) -> Motion:
     """The motion of places [m], (k, 3), onto points [m], (m, 3), of which none is known by name.
 
-    From the centres of mass, once as it was and once for each way in which the principal axes of
+    From where they are, from the centres of mass, and from each way in which the principal axes of
     the one fit on those of the other, nearest points are paired until the pairs stay (iterated
     closest points: Besl and McKay 1992); of these motions the closest is taken.
     """
@@ -62,6 +66,7 @@ def registered(places: FloatArray, points: FloatArray) -> Motion:
 def _starts(places: FloatArray, points: FloatArray) -> Iterator[Motion]:
     middle, target = places.mean(axis=0), points.mean(axis=0)
     ours, theirs = _axes(places - middle), _axes(points - target)
+    yield Motion(np.eye(3), np.zeros(3), np.inf)
     turns = [np.eye(3)]
     for x, y in product((1.0, -1.0), repeat=2):
         turns.append(theirs @ np.diag([x, y, x * y]) @ ours.T)
@@ -91,6 +96,8 @@ def found_again(track: BodyTrack, frame: Frame, config: Config) -> BodyTrack | N
 
     It keeps its shape as it was carried on to the frame, and its markers their nodes.
     """
+    if len(frame.points) + frame.visible.sum() < max(FEWEST, SHARE * len(track.attached)):
+        return None
     gone = ahead(track, (frame.stamp - track.stamp) / NANOSECONDS, config.filter.max_step)
     places, seen = gone.places, np.concatenate([frame.positions[frame.visible], frame.points])
     close = CLOSE * float(np.median(spacing(places)))

@@ -69,6 +69,12 @@ class BodyTrack:
         """Where the markers are [m], shape (markers, 3)."""
         return self.attached.place(self.position, self.rotation)
 
+    @property
+    def gone(self) -> bool:
+        """Whether most of the markers have not been seen for a while."""
+        unseen = np.median(self.stamp - self.attached.seen)
+        return bool(unseen > DOUBTFUL * NANOSECONDS)
+
     def covariances(self, nodes: IntArray) -> FloatArray:
         """Covariance of the position of these nodes [m^2], shape (m, 3, 3)."""
         return position_covariances(self.belief, NodePositions(self.assembly.body, nodes, 0.0))
@@ -91,7 +97,10 @@ def begin(start: Start, frame: Frame) -> tuple[BodyTrack, Step]:
 
 
 def follow(track: BodyTrack, frame: Frame, config: Config) -> tuple[BodyTrack, Step]:
-    """Move on to a later frame and take it. Raises FloatingPointError where the filter fails."""
+    """Move on to a later frame and take it. Raises FloatingPointError where the filter fails.
+
+    A body that is gone moves on as a rigid one: for a while its shape is what it was.
+    """
     arrived = ahead(track, (frame.stamp - track.stamp) / NANOSECONDS, config.filter.max_step)
     attached, assembly = arrived.attached, track.assembly
     found = _identified(arrived, frame, config)
@@ -101,8 +110,10 @@ def follow(track: BodyTrack, frame: Frame, config: Config) -> tuple[BodyTrack, S
     belief, innovation = assembly.filter.update(arrived.belief, obs, z.ravel())
     if not np.isfinite(belief.mean).all():
         raise FloatingPointError('the estimate is not finite')
-    lost = min(len(found.left), (~seen).sum()) > seen.sum()
+    lost = bool(len(found.left)) and not seen.any()
     belief = _moved_to(belief, assembly.model.admissible(belief.mean))
+    if track.gone:
+        belief = _moved_to(belief, assembly.rigid(belief.mean))
     updated = replace(
         arrived,
         stamp=frame.stamp,
@@ -133,7 +144,11 @@ def ahead(track: BodyTrack, dt: float, longest: float) -> BodyTrack:
 
 
 def _identified(track: BodyTrack, frame: Frame, config: Config) -> Identified:
-    """Which marker of a frame is which of those attached, of a track moved to the frame."""
+    """Which marker of a frame is which of those attached, of a track moved to the frame.
+
+    None is where most are somewhere else, as those that are at a place of one are there by chance,
+    and none of a body that was gone for a while: what is believed of it is no guess by then.
+    """
     attached, settings = track.attached, config.association
     named = np.flatnonzero(attached.label != UNNAMED)
     positions, visible = np.full((len(attached), 3), np.nan), np.zeros(len(attached), bool)
@@ -145,7 +160,14 @@ def _identified(track: BodyTrack, frame: Frame, config: Config) -> Identified:
     expected = Expected(places, known, sure, unseen > DOUBTFUL * NANOSECONDS)
     reach = FASTEST * (frame.stamp - track.stamp) / NANOSECONDS
     labelled = Identified.as_labelled(positions, visible)
-    return identify(expected, labelled, frame.points, track.left, reach, settings.gate)
+    if not track.gone:
+        found = identify(expected, labelled, frame.points, track.left, reach, settings.gate)
+        if min(len(found.left), (~found.visible).sum()) <= found.visible.sum():
+            return found
+    nobody = Identified.as_labelled(positions, np.zeros_like(visible))
+    left = np.concatenate([positions[visible], frame.points])
+    named = int(visible.sum())
+    return replace(nobody, rejected=named, ghosts=len(frame.points), left=left)
 
 
 def _grown(

@@ -3,7 +3,16 @@
 YAML files, ROS parameters and docs/parameters.md derive from it.
 """
 
-from cloth_predict.config.build import build, dump, flatten, load, nest, parse_yaml
+from cloth_predict.config.build import (
+    build,
+    build_group,
+    dump,
+    flatten,
+    load,
+    nest,
+    parameters_in,
+    parse_yaml,
+)
 from cloth_predict.config.checks import misfit
 from cloth_predict.config.schema import (
     AnchorsConfig,
@@ -36,10 +45,12 @@ __all__ = [
     'ReplayConfig',
     'WindConfig',
     'build',
+    'build_group',
     'dump',
     'flatten',
     'load',
     'misfit',
     'nest',
+    'parameters_in',
     'parse_yaml',
 ]

@@ -22,10 +22,12 @@ from cloth_predict.config.checks import check_together
 from cloth_predict.config.schema import Config
 from cloth_predict.errors import ConfigError
 
+Group = typing.TypeVar('Group')
+
 
 def build(values: dict[str, Any], source: str) -> Config:
     """Build the configuration from nested mappings; `source` names their origin in errors."""
-    config = typing.cast('Config', _build(Config, values, source, ''))
+    config = build_group(Config, values, source)
     model = config.model
     if model.is_body and model.topology == 'grid':  # which is the default
         model = dataclasses.replace(model, topology='closed')
@@ -38,6 +40,11 @@ def build(values: dict[str, Any], source: str) -> Config:
 
 def load(path: Path) -> Config:
     """Read a ROS parameter file: the parameters under `/**: ros__parameters:`."""
+    return build(parameters_in(path), str(path))
+
+
+def parameters_in(path: Path) -> dict[str, Any]:
+    """Return what a ROS parameter file has under `/**: ros__parameters:`. Raises ConfigError."""
     try:
         document = parse_yaml(path.read_text(encoding='utf-8'))
     except OSError as error:
@@ -48,7 +55,7 @@ def load(path: Path) -> Config:
         values = document['/**']['ros__parameters']
     except (TypeError, KeyError):
         raise ConfigError(f"{path}: no '/**: ros__parameters:' at the top") from None
-    return build({} if values is None else values, str(path))
+    return {} if values is None else values
 
 
 def parse_yaml(text: str) -> Any:
@@ -77,7 +84,8 @@ def flatten(tree: dict[str, Any], prefix: str = '') -> dict[str, Any]:
     return found
 
 
-def _build(kind: type, values: Any, source: str, prefix: str) -> Any:
+def build_group(kind: type[Group], values: Any, source: str, prefix: str = '') -> Group:
+    """Build a dataclass of parameters from nested mappings; `prefix` goes before their names."""
     if not isinstance(values, dict):
         raise ConfigError(f'{source}: {prefix.rstrip(".") or "parameters"}: expected a mapping')
     hints = typing.get_type_hints(kind)
@@ -90,7 +98,7 @@ def _build(kind: type, values: Any, source: str, prefix: str) -> Any:
             hint = f' (did you mean {prefix}{close[0]}?)' if close else ''
             raise ConfigError(f'{source}: {name}: unknown parameter{hint}')
         if dataclasses.is_dataclass(hints[key]):
-            chosen[key] = _build(typing.cast('type', hints[key]), value, source, f'{name}.')
+            chosen[key] = build_group(typing.cast('type', hints[key]), value, source, f'{name}.')
         else:
             chosen[key] = _value(hints[key], value, fields[key].metadata, f'{source}: {name}')
     return kind(**chosen)
@@ -133,7 +141,7 @@ def _check_range(number: Any, limits: typing.Mapping[str, Any], name: str) -> No
             raise ConfigError(f'{name}: {number} is out of range, must be {words}')
 
 
-def dump(config: Config) -> str:
+def dump(config: Any) -> str:
     """Return a ROS parameter file that `load` turns into the same configuration.
 
     Empty lists are left out: a ROS parameter file cannot hold one.
