@@ -197,8 +197,9 @@ def test_between_the_nodes_the_global_shape_is_exact():
     np.testing.assert_allclose(
         fine.position(q), positions(REFERENCE, mesh.coordinates), atol=1e-15
     )
-    q[LOCAL:] = np.tile([0.01, 0.02, 0.03], 20)
-    shifted = [*positions(REFERENCE, mesh.coordinates), 0.01, 0.02, 0.03]
+    shift = np.array([0.01, 0.02, 0.03])
+    q[LOCAL:] = np.tile(shift, 20)
+    shifted = positions(REFERENCE, mesh.coordinates) + shift
     np.testing.assert_allclose(fine.position(q), shifted, atol=1e-14)
 
 

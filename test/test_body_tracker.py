@@ -244,15 +244,15 @@ def test_a_hidden_body_keeps_its_shape():
 @pytest.mark.parametrize('labels', [0, MARKERS])
 def test_a_body_that_was_carried_elsewhere_is_found_by_its_shape(labels):
     tracker, feed = followed(50, labels)
-    before = attached(tracker)
+    before, shift = attached(tracker), np.array([0.5, -0.3, 0.4])
     for frame in range(50, 120):
-        step = feed(frame, shift=np.array([0.5, -0.3, 0.4]))
+        step = feed(frame, shift=shift)
         if step.outcome == 'restarted':
             break
     assert 0.1 < (frame - 50) * FRAME / 1e9 < 0.15  # no marker is where it should be for so long
     np.testing.assert_array_equal(attached(tracker).node, before.node)
     np.testing.assert_array_equal(attached(tracker).label, before.label)
-    true = [*BODY.markers(frame * FRAME / 1000000000.0), 0.5, -0.3, 0.4]
+    true = BODY.markers(frame * FRAME / 1e9) + shift
     off = nearest_on_surface(true, tracker.estimate().position, tracker.triangles).place - true
     assert rms(np.linalg.norm(off, axis=1)) < 2.5e-3
 

@@ -165,9 +165,9 @@ def _identified(track: BodyTrack, frame: Frame, config: Config) -> Identified:
         if min(len(found.left), (~found.visible).sum()) <= found.visible.sum():
             return found
     nobody = Identified.as_labelled(positions, np.zeros_like(visible))
-    left = np.concatenate([positions[visible], frame.points])
-    named = int(visible.sum())
-    return replace(nobody, rejected=named, ghosts=len(frame.points), left=left)
+    far = positions[visible]
+    left = np.concatenate([far, frame.points])
+    return replace(nobody, rejected=len(far), ghosts=len(frame.points), left=left)
 
 
 def _grown(
