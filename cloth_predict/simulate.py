@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 from scipy import sparse
 
+from cloth_predict.equilibrium import settled
 from cloth_predict.filming import Progress, film, frame_stamps
 from cloth_predict.formats.bag import Recording, Truth
-from cloth_predict.integrators import ImplicitEuler
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_springs
 from cloth_predict.simulate_bodies import balloon, insect, insect_labels
@@ -122,19 +122,6 @@ def hung_cloth(
     rows, cols = shape.shape[:2]
     springs = grid_springs(rows, cols, shape.reshape(-1, 3), stiffness, damping)
     return MassSpring(springs, np.full(rows * cols, mass / (rows * cols)), np.arange(cols))
-
-
-def settled(cloth: MassSpring, hung: FloatArray, start: FloatArray) -> FloatArray:
-    """Positions [m], shape (nodes, 3), at which the cloth hangs at rest.
-
-    Long implicit steps, whose own damping takes the motion out, until a step moves no node.
-    """
-    x = np.concatenate([start[cloth.free].ravel(), np.zeros(cloth.dim_x // 2)])
-    for _ in range(1000):
-        before, x = x, ImplicitEuler().step(cloth, x, hung, 0.1)
-        if np.abs(x - before).max() < 1e-10:  # m and m/s: far below a float32's last digit
-            return cloth.surface(x, hung)[0]
-    raise FloatingPointError('the cloth does not come to rest')
 
 
 def run(

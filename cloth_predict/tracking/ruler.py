@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import cast
@@ -71,7 +72,7 @@ class RulerTracker:
         self._filter, self._noise = joint_filter(config), process_noise(config)
         self._observation = observation(config)
         self._taken: list[tuple[int, FloatArray]] = []
-        self._unseen = 0
+        self._unseen = self._refused = 0
 
     @property
     def started(self) -> bool:
@@ -156,18 +157,20 @@ class RulerTracker:
     def _advance(self, stamp: int, z: FloatArray | None) -> RulerStep:
         if self._belief is None:
             return RulerStep('hidden') if z is None else self._start(stamp, z, 'started')
+        if abs(stamp - self.stamp) > self.config.max_gap * NANOSECONDS:
+            return self._anew(stamp, z)
         if stamp <= self.stamp:
             return RulerStep('late')
-        if stamp - self.stamp > self.config.max_gap * NANOSECONDS:
-            return self._anew(stamp, z)
         try:
             belief, innovation, believed = self._filtered(self._belief, stamp - self.stamp, z)
         except FloatingPointError:
             return self._anew(stamp, z)
-        self._unseen = 0 if believed else self._unseen + 1
-        if innovation is not None and self._unseen > self.config.patience:
+        if innovation is not None:
+            self._refused = 0 if believed else self._refused + 1
+        if self._refused > self.config.patience:
             return self._anew(stamp, z)
         self.stamp, self._belief = stamp, belief
+        self._unseen = 0 if believed else self._unseen + 1
         if z is not None and believed:
             self._remember(stamp, z)
         outcome = 'updated' if believed else 'hidden' if innovation is None else 'rejected'
@@ -190,7 +193,8 @@ class RulerTracker:
     def _start(self, stamp: int, z: FloatArray, outcome: str) -> RulerStep:
         self._prior = self._prior or first_belief(self.config, self.model, z)
         self._belief, innovation = self._begun(self._prior, z)
-        self.stamp, self._unseen, self._taken = stamp, 0, [(stamp, z)]
+        self.stamp, self._taken = stamp, [(stamp, z)]
+        self._unseen = self._refused = 0
         return RulerStep(outcome, innovation)
 
     def _begun(self, prior: Gaussian, z: FloatArray) -> tuple[Gaussian, Innovation]:
@@ -216,8 +220,9 @@ class RulerTracker:
             return
         taken, self._taken = self._taken, []
         if self.config.again > 0:
-            self.counts['again'] += 1
-            self._belief = self._filtered_again(taken)
+            with suppress(FloatingPointError):
+                self._belief = self._filtered_again(taken)
+                self.counts['again'] += 1
 
     def _filtered_again(self, taken: list[tuple[int, FloatArray]]) -> Gaussian:
         prior, model = cast('Gaussian', self._prior), self.model

@@ -7,64 +7,67 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloth_predict.config import Config
+from cloth_predict.equilibrium import settled
 from cloth_predict.errors import FrameError, UncertainError
-from cloth_predict.tracking.motion import split, surface
+from cloth_predict.tracking.motion import split
 from cloth_predict.tracking.track import Track
-from cloth_predict.types import FloatArray, Surface
+from cloth_predict.types import FloatArray
 
-SLOW = 0.01
-"""Speed [m/s] below which nothing is seen to move."""
+NEAR = 0.005
+"""Distance [m] from its place at rest within which a marker is taken to be there."""
+LONG = 1.0
+"""Step [s] on the way to the shape of rest, which has not to follow the motion."""
 
 
 @dataclass(frozen=True)
 class Rest:
-    """The end of a motion: time [s] from the last frame on, its sigma, and the surface then."""
+    """The end of a motion.
+
+    time [s] from the last frame on, and its sigma; position [m], shape (markers, 3), at rest;
+    covariance [m^2] of what is left of the motion then, shape (free markers, 3, 3).
+    """
 
     time: float
     time_sigma: float
-    surface: Surface
+    position: FloatArray
+    covariance: FloatArray
 
 
-def rest(track: Track, config: Config, slow: float = SLOW, longest: float = 30.0) -> Rest:
-    """End of a motion, from when on no marker is faster than `slow` [m/s].
+def rest(track: Track, config: Config, near: float = NEAR, longest: float = 30.0) -> Rest:
+    """End of a motion: from when on no marker is farther than `near` [m] from its place at rest.
 
-    What drives the surface is taken to stay where it is. The sigma of the time is half the time
-    between when speeds one sigma less, and one sigma more, stay below. Raises UncertainError where
-    they do not within `longest` [s], as under unknown forces that last, and FrameError where the
-    model does not get there.
+    What drives the surface is taken to stay where it is, and the unknown forces to be none at
+    rest. The sigma of the time is half of what lies between the ends of the motions one sigma
+    nearer and one sigma farther. Raises UncertainError where these do not end within `longest`
+    [s], as under forces that last, and FrameError where the model does not get there.
     """
-    now = track.now
+    now, rows = track.now, track.now.layout.rows
     held = now.driven.extrapolate(0.0)[0]
     u = now.input(held, np.zeros_like(held))
     steps, dt = split(longest, config.filter.predict_step)
-    belief, rows = now.belief, now.layout.rows
-    velocity = rows + 3 * len(now.mesh.free)
-    beliefs, speeds, sigmas = [], [], []
+    belief, distances, sigmas, covariances = now.belief, [], [], []
     try:
+        shape = settled(now.mesh, u, now.mesh.surface(belief.mean, u)[0], LONG)
+        place = shape[now.layout.markers]
         for _ in range(steps + 1):
-            beliefs.append(belief)
-            speeds.append(np.linalg.norm(belief.mean[velocity], axis=1))
-            sigmas.append(_sigma(belief.marginals(velocity)))
+            cov = belief.marginals(rows)
+            covariances.append(cov)
+            sigmas.append(np.sqrt(np.linalg.eigvalsh(cov)[:, -1].clip(min=0.0)))
+            distances.append(np.linalg.norm(belief.mean[rows] - place[now.layout.free], axis=1))
             belief = now.filter.predict(belief, now.model, u, now.noise, dt)
     except FloatingPointError as error:
         raise FrameError(f'the prediction fails: {error}') from None
-    speed, sigma = np.array(speeds), np.array(sigmas)
-    early, last, late = (_last_above(s, slow) + 1 for s in (speed - sigma, speed, speed + sigma))
+    away, sigma = np.array(distances), np.array(sigmas)
+    early, last, late = (_from(d, near) for d in (away - sigma, away, away + sigma))
     if late > steps:
         raise UncertainError(
-            f'no end of the motion within {longest:g} s: speeds are still '
-            f'{speed[-1].max():.2g} +- {sigma[-1].max():.2g} m/s'
+            f'no end of the motion within {longest:g} s: markers are still '
+            f'{away[-1].max():.2g} +- {sigma[-1].max():.2g} m from where they rest'
         )
-    there = beliefs[last]
-    shape = surface(now, there.mean, there.marginals(rows), track.stamp, last * dt)
-    return Rest(last * dt, 0.5 * (late - early) * dt, shape)
+    return Rest(last * dt, 0.5 * (late - early) * dt, place, covariances[last])
 
 
-def _sigma(cov: FloatArray) -> FloatArray:
-    """Sigma along the longest axis of each covariance, (k, 3, 3), shape (k,)."""
-    return np.asarray(np.sqrt(np.linalg.eigvalsh(cov)[:, -1].clip(min=0.0)))
-
-
-def _last_above(speeds: FloatArray, slow: float) -> int:
-    """Last row in which any of the speeds, shape (steps, k), is above `slow`; -1 for none."""
-    return int(np.flatnonzero((speeds > slow).any(axis=1))[-1:].max(initial=-1))
+def _from(distances: FloatArray, near: float) -> int:
+    """First row, of shape (steps, k), from which on all are near."""
+    far = np.flatnonzero((distances > near).any(axis=1))
+    return int(far[-1]) + 1 if len(far) else 0
