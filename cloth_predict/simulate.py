@@ -17,6 +17,7 @@ from cloth_predict.formats.bag import Recording, Truth
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_springs
 from cloth_predict.simulate_bodies import balloon, insect, insect_labels
+from cloth_predict.simulate_ruler import ruler, ruler_labels
 from cloth_predict.surroundings import Air, Draught, Fan, Gusts, Rail
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
@@ -191,8 +192,12 @@ SCENARIOS: dict[str, Callable[[np.random.Generator, float, Progress], Truth]] = 
     'falling_cloth': falling_cloth,
     'balloon': balloon,
     'insect': insect,
+    'ruler': ruler,
 }
-LABELS: dict[str, Callable[[int], tuple[str, ...]]] = {'insect': insect_labels}
+LABELS: dict[str, Callable[[int], tuple[str, ...]]] = {
+    'insect': insect_labels,
+    'ruler': ruler_labels,
+}
 """How markers are called, where they belong to parts."""
 
 

@@ -163,7 +163,7 @@ def measured(
     position_noise: float = 1e-3,
     angle_noise: float = np.radians(0.5),
 ) -> FloatArray:
-    """Measurements [x_G, y_G, L, alpha] with noise [m, rad], (frames, 4), of states (frames, 6)."""
+    """Measurements [x_G, y_G, L, alpha] [m, rad] with noise, (frames, 4); states, (frames, 6)."""
     exact = np.insert(states[:, :3], 2, length, axis=1)
     return exact + rng.normal(size=exact.shape) * [*[position_noise] * 3, angle_noise]
 
@@ -177,3 +177,8 @@ def ruler(rng: np.random.Generator, duration: float, progress: Progress) -> Trut
     surface = np.stack([ends.real, ends.imag, np.zeros_like(ends.real)], axis=-1)
     progress(duration)
     return Truth(stamps, surface.transpose(1, 0, 2)[:, None], np.array([[0, 1]]))
+
+
+def ruler_labels(markers: int) -> tuple[str, ...]:
+    """Label of each end."""
+    return tuple(f'ruler:{end}' for end in range(markers))

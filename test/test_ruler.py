@@ -8,8 +8,10 @@ from references import central_differences, order_of
 from scipy.integrate import solve_ivp
 
 from cloth_predict.experiments.goeller2015.friction import Rounded
+from cloth_predict.formats.bag import read_recording, write_recording
 from cloth_predict.integrators import RungeKutta
 from cloth_predict.models.ruler import Ruler
+from cloth_predict.simulate import simulate
 from cloth_predict.simulate_ruler import ANNEX_A, Shot, measured, random_shot, slide
 from cloth_predict.sliding import Sliding
 
@@ -266,3 +268,19 @@ def test_random_shots_stay_in_their_ranges_and_differ():
     assert ((values >= low) & (values <= high)).all()
     assert (np.ptp(values, axis=0) > 0.7 * np.subtract(high, low)).all()
     assert isinstance(shots[0], Shot)
+
+
+def test_a_recording_has_both_ends_of_the_bar_that_was_shot(tmp_path):
+    write_recording(tmp_path / 'bar', simulate('ruler', 3, 0.5, lambda seconds: None))
+    recording = read_recording(tmp_path / 'bar')
+    assert recording.markers.labels == ('ruler:0', 'ruler:1')
+    surface = recording.truth.surface[:, 0]
+    apart = surface[:, 1] - surface[:, 0]
+    np.testing.assert_allclose(np.linalg.norm(apart, axis=1), 1.0, atol=1e-6)  # float32
+    shot = random_shot(np.random.default_rng(3).spawn(2)[0])
+    poses = slide(shot).at(np.arange(51) / 100)
+    np.testing.assert_allclose(surface.mean(axis=1)[:, :2], poses[:, :2], atol=1e-6)  # float32
+    angle = np.arctan2(apart[:, 1], apart[:, 0])
+    np.testing.assert_allclose(np.exp(1j * angle), np.exp(1j * poses[:, 2]), atol=1e-6)
+    errors = recording.markers.positions - recording.truth.surface.reshape(51, 2, 3)
+    assert np.nanstd(errors) == pytest.approx(3e-4, rel=0.2)  # 300 draws
