@@ -17,9 +17,11 @@ from cloth_predict.command_line import (
     compress,
     decode,
     encode,
+    film,
     identify,
     project,
     reproduce,
+    ruler,
     stiffness,
     tune,
 )
@@ -120,6 +122,8 @@ def _parser() -> argparse.ArgumentParser:
     compress.add(command)
     encode.add(command)
     decode.add(command)
+    film.add(command)
+    ruler.add(command)
     reproduce.add(command)
     return parser
 

@@ -89,8 +89,8 @@ def build_group(kind: type[Group], values: Any, source: str, prefix: str = '') -
     if not isinstance(values, dict):
         raise ConfigError(f'{source}: {prefix.rstrip(".") or "parameters"}: expected a mapping')
     hints = typing.get_type_hints(kind)
-    fields = {f.name: f for f in dataclasses.fields(kind)}
-    chosen = {}
+    fields = {f.name: f for f in dataclasses.fields(typing.cast('Any', kind))}
+    chosen: dict[str, Any] = {}
     for key, value in values.items():
         name = f'{prefix}{key}'
         if key not in fields:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +45,13 @@ class CameraConfig:
 
 @dataclass(frozen=True)
 class VideoConfig:
-    """The frames of a video, and how a node publishes them."""
+    """The frames of a video, what is predicted from them, and how a node publishes them."""
 
     path: str = param('', 'MP4 file or folder of numbered PNG files')
     fps: float = param(50.0, 'frames per second of a folder of PNG files', 'Hz', above=0)
+    stop_period: float = param(
+        0.1, 'time between predictions of where the bar will rest', 's', above=0
+    )
     speed: float = param(1.0, 'speed of replay', above=0)
     subscribers: int = param(1, 'subscribers to wait for', low=0)
 
@@ -58,7 +61,7 @@ class RulerVideoConfig:
     """A bar that is followed in a video."""
 
     frame: str = param('table', 'frame_id of all messages')
-    ruler: RulerConfig = RulerConfig()
+    ruler: RulerConfig = field(default_factory=RulerConfig)
     camera: CameraConfig = CameraConfig()
     video: VideoConfig = VideoConfig()
 

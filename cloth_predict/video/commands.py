@@ -1,0 +1,87 @@
+"""The commands on videos, each as one call."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from cloth_predict.config import dump
+from cloth_predict.config.ruler import RulerConfig
+from cloth_predict.config.ruler_video import RulerVideoConfig, VideoConfig
+from cloth_predict.errors import FormatError
+from cloth_predict.formats.files import make_folder, writing
+from cloth_predict.simulate_ruler import ANNEX_A, Shot, Slide, random_shot, slide
+from cloth_predict.video import generator
+from cloth_predict.video.files import Writer, frames, rate_of
+from cloth_predict.video.following import VideoFollower
+from cloth_predict.video.overlay import augmented
+from cloth_predict.video.report import RulerReport
+
+COMPRESSED = 0.25
+"""Sigma of a centre [px] in a picture that was compressed."""
+
+
+def follow(
+    video: Path, config: RulerVideoConfig, overlay: Path, progress: Callable[[int], object]
+) -> RulerReport:
+    """Follow a bar through a video, and write the augmented view of it.
+
+    A video that ends in a fault is told up to there. Raises FormatError where no frame of it can
+    be read, or none shows a bar.
+    """
+    report, follower = RulerReport(), VideoFollower(config)
+    with Writer(overlay, rate_of(video, config.video.fps)) as writer:
+        try:
+            for frame in frames(video, config.video.fps):
+                seen = follower.see(frame)
+                report.add(seen)
+                writer.write(augmented(seen, follower.detector.calibration))
+                progress(1)
+        except FormatError as error:
+            if report.last is None:
+                raise
+            report.faults.append(str(error))
+    if report.last is None:
+        fault = report.faults[0] if report.faults else 'no frame'
+        raise FormatError(f'{video}: nothing to follow in {report.frames} frames: {fault}')
+    health = follower.tracker.health()
+    if health.level != 'OK':
+        report.faults.append(health.text)
+    return report
+
+
+def film(path: Path, shot: str, how: generator.Filming, seed: int) -> tuple[int, Path]:
+    """Film a bar: a scenario of annex A by its number, or a `random` shot.
+
+    Beside the video goes a parameter file, which ends in the truth as comments. Returns the number
+    of frames and that file.
+    """
+    rng = np.random.default_rng(seed)
+    let_go = random_shot(rng) if shot == 'random' else ANNEX_A[int(shot)]
+    motion, length = slide(let_go), float(let_go.ruler.L)
+    camera = generator.camera_for(motion, length, how.size)
+    count = 0
+    with Writer(path, how.fps) as writer:
+        for frame in generator.film(motion, length, camera, how, rng):
+            writer.write(frame.picture)
+            count += 1
+    config = RulerVideoConfig(
+        ruler=RulerConfig(g=let_go.ruler.g, position_noise=COMPRESSED * camera.scale),
+        camera=camera,
+        video=VideoConfig(path=str(path), fps=how.fps),
+    )
+    beside = path.with_suffix('.yaml')
+    make_folder(beside.parent)
+    with writing(beside):
+        beside.write_text(dump(config) + _truth(let_go, motion), encoding='utf-8')
+    return count, beside
+
+
+def _truth(shot: Shot, motion: Slide) -> str:
+    ruler, (x, y, angle) = shot.ruler, motion.at(np.array([motion.duration]))[0, :3]
+    return (
+        f'# truth: L {ruler.L:g}, L1 {ruler.L1:g}, L2 {ruler.L2:g}, mu {ruler.mu:g}; '
+        f'at rest after {motion.duration:.4f} s at x {x:.4f}, y {y:.4f}, angle {angle:.4f}\n'
+    )
