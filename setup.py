@@ -9,6 +9,7 @@ from setuptools import find_packages, setup
 NAME = 'cloth_predict'
 SHARE = Path('share', NAME)
 SEARCHES = ['cma>=3.3', 'optuna>=4.0']
+VIDEO = 'opencv-python-headless>=4.6'
 VERSION = re.findall(r"^__version__ = '(.+)'$", Path(NAME, '__init__.py').read_text(), re.M)[0]
 
 
@@ -54,12 +55,13 @@ setup(
     extras_require={
         # What `identify`, `tune` and `compress --optimiser cma` search with; nothing else needs it.
         'identify': SEARCHES,
+        'video': [VIDEO],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'test': [
             *SEARCHES,
             'hypothesis>=6.100',
             'mcap-ros2-support>=0.5.5',
-            'opencv-python-headless>=4.6',
+            VIDEO,
             'psutil>=5.9',
             'pytest>=7.4',
         ],
@@ -80,6 +82,8 @@ setup(
             'mocap_replay_node = cloth_predict.nodes.start:mocap_replay_node',
             'ekf_node = cloth_predict.nodes.start:ekf_node',
             'projector_node = cloth_predict.nodes.start:projector_node',
+            'video_node = cloth_predict.nodes.start:video_node',
+            'ruler_node = cloth_predict.nodes.start:ruler_node',
         ],
     },
 )

@@ -19,7 +19,8 @@ import cloth_predict
 from cloth_predict.config import ReplayConfig
 
 ROOT = Path(__file__).parents[1]
-NODES = {'mocap_replay_node', 'ekf_node', 'projector_node'}
+LAUNCHED = {'mocap_replay_node', 'ekf_node', 'projector_node'}
+NODES = {*LAUNCHED, 'video_node', 'ruler_node'}
 
 
 # --- metadata
@@ -237,7 +238,7 @@ def test_launch_arguments_default_to_what_the_package_brings(launched):
 
 def test_launch_starts_the_three_nodes_with_the_configuration(launched):
     arguments, nodes = launched
-    assert set(nodes) == NODES
+    assert set(nodes) == LAUNCHED
     for node in nodes.values():
         assert node['package'] == 'cloth_predict'
         assert node['namespace'] == '${namespace}'

@@ -48,8 +48,8 @@ SHUTDOWN_LIMIT = 5.0
 """Seconds that a node may take to leave, after which its process ends all the same."""
 
 
-class ConfiguredNode(Node):
-    """A node whose parameters are the project's configuration, checked as a whole at the start."""
+class ParameterNode(Node):
+    """A node whose parameters are checked as a whole, at the start only."""
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
@@ -57,16 +57,15 @@ class ConfiguredNode(Node):
         flat |= _hidden(sys.argv, self.get_name(), flat)
         known = {k: v for k, v in flat.items() if k.split('.')[0] not in ROS_PARAMETERS}
         try:
-            self.config: Config = build(nest(known), self.get_name())
+            self.configure(nest(known))
         except ClothPredictError:
             self.destroy_node()
             raise
         self.add_on_set_parameters_callback(_refuse)
 
-    def check_frame(self, header: Header) -> None:
-        """Raise FrameError where a message is not in the configured frame."""
-        if header.frame_id != self.config.frame:
-            raise FrameError(f'frame_id {header.frame_id!r}, expected {self.config.frame!r}')
+    def configure(self, values: dict[str, Any]) -> None:
+        """Read the parameters, as nested mappings. Raises ConfigError."""
+        raise NotImplementedError
 
     def publisher(self, kind: type, topic: str) -> Any:
         """Sensor-data publisher whose quality of service can be overridden by parameters."""
@@ -83,6 +82,21 @@ class ConfiguredNode(Node):
         """Subscribe to sensor data; the quality of service can be overridden by parameters."""
         qos = copy.copy(profile)
         self.create_subscription(kind, topic, callback, qos, qos_overriding_options=OVERRIDABLE)
+
+
+class ConfiguredNode(ParameterNode):
+    """A node whose parameters are the project's configuration."""
+
+    config: Config
+
+    def configure(self, values: dict[str, Any]) -> None:
+        """Build the configuration."""
+        self.config = build(values, self.get_name())
+
+    def check_frame(self, header: Header) -> None:
+        """Raise FrameError where a message is not in the configured frame."""
+        if header.frame_id != self.config.frame:
+            raise FrameError(f'frame_id {header.frame_id!r}, expected {self.config.frame!r}')
 
 
 def _hidden(arguments: list[str], node: str, flat: dict[str, Any]) -> dict[str, Any]:
@@ -117,7 +131,7 @@ def _refuse(parameters: list[Parameter]) -> SetParametersResult:
     return SetParametersResult(successful=not changed, reason=reason)
 
 
-def run(make: Callable[[], ConfiguredNode], args: list[str] | None = None) -> int:
+def run(make: Callable[[], ParameterNode], args: list[str] | None = None) -> int:
     """Spin a node until Ctrl-C, SIGTERM or its own end; returns the exit code.
 
     A configuration that cannot be used is one line on standard error and exit code 1.

@@ -21,6 +21,16 @@ def projector_node() -> int:
     return _start('projector_node')
 
 
+def video_node() -> int:
+    """Run the video node."""
+    return _start('video_node')
+
+
+def ruler_node() -> int:
+    """Run the ruler node."""
+    return _start('ruler_node')
+
+
 def _start(name: str) -> int:
     # Until rclpy listens for it, Ctrl-C ends the process at once, not with a traceback of the
     # half second in which the node is imported.
