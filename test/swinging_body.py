@@ -20,6 +20,7 @@ SETTINGS = {
     'body.coupling': 'pose',
     'body.w0': 0.001,
     'body.w1': 0.005,
+    'body.push': 'matern',
     'filter.kind': 'decoupled',
     'filter.measurement_noise': SIGMA,
 }

@@ -11,10 +11,11 @@ from cloth_predict.bodies.fine_mesh import FineMesh
 from cloth_predict.bodies.global_fit import sizes_of
 from cloth_predict.config import BodyConfig, Config
 from cloth_predict.errors import ConfigError, FrameError
-from cloth_predict.filters.blocks import Blocks
+from cloth_predict.filters.blocks import NONE, Blocks
 from cloth_predict.filters.family import BODY_FILTERS
 from cloth_predict.models.accelerated import Accelerated
 from cloth_predict.models.closed_mesh import ClosedMesh
+from cloth_predict.models.disturbed import ForceProcess
 from cloth_predict.models.superquadric import (
     GLOBAL,
     ROTATION,
@@ -22,10 +23,13 @@ from cloth_predict.models.superquadric import (
     Superquadric,
 )
 from cloth_predict.models.superquadric_shape import PARAMETERS, check_parameters
-from cloth_predict.types import BoolArray, Filter, FloatArray, IntArray
+from cloth_predict.surface.forces import PROCESSES
+from cloth_predict.types import BoolArray, Filter, FloatArray
 
 CANDIDATES = 16
 """Places on the sphere per node, from which those between the markers are chosen."""
+POSE = np.arange(ROTATION.stop)
+"""The coordinates of translation and rotation."""
 FITTED = 0.05
 """Standard deviation of what the points of one frame tell, of lengths by the scale."""
 
@@ -110,73 +114,72 @@ def mesh_of(config: Config, markers: FloatArray) -> ClosedMesh:
 
 def assemble(config: Config, mesh: ClosedMesh, parameters: FloatArray) -> Assembly:
     """Build the configured body with this reference shape, (11,), and its filter."""
-    settings, model = config.body, config.model
+    settings = config.body
     body = Superquadric(
         mesh,
-        mass=model.mass,
+        mass=config.model.mass,
         reference=parameters,
         w0=settings.w0,
         w1=settings.w1,
         alpha=settings.alpha,
         beta=settings.beta,
-        gravity=model.gravity,
+        gravity=config.model.gravity,
         free=free_parameters(settings),
         local=settings.local,
         inertial=settings.inertial,
     )
-    pushed = _pushed(settings)
-    moving = Accelerated(body, pushed, settings.push_tau) if len(pushed) else body
+    push, density, spread = _push(settings)
+    model = body if push is None else Accelerated(body, POSE, push)
+    pushed = model.pushed if isinstance(model, Accelerated) else NONE
     blocks = Blocks.of_body(body, settings.coupling, pushed)  # type: ignore[arg-type]
-    scale = float(parameters[0])
-    noise, first = _noise(config, body, scale, pushed), _first(config, body, scale, pushed)
-    fine = mesh if config.nodes_are_markers else ClosedMesh.even(model.nodes)
-    shown = FineMesh.of(fine, mesh)
-    chosen = BODY_FILTERS[config.filter.kind](config, blocks)
-    return Assembly(body, moving, chosen, noise, first, shown)
-
-
-def _pushed(settings: BodyConfig) -> IntArray:
-    """Coordinates with an acceleration that lasts."""
-    of_parts = (settings.push_translation, TRANSLATION), (settings.push_rotation, ROTATION)
-    return np.concatenate(
-        [np.arange(part.start, part.stop if size else part.start) for size, part in of_parts]
-    ).astype(np.int64)
-
-
-def _pushes(settings: BodyConfig, pushed: IntArray) -> FloatArray:
-    """Standard deviations of those accelerations."""
-    turns = pushed >= ROTATION.start
-    return np.where(turns, settings.push_rotation, settings.push_translation)
-
-
-def _of_parts(
-    body: Superquadric, sizes: FloatArray, values: tuple[float, float, float, float]
-) -> FloatArray:
-    """Values of translation, rotation, shape and displacements as one per coordinate, (dim_q,).
-
-    That of the shape is by the sizes of its parameters, (11,). 0 of what does not move.
-    """
-    found = np.full(body.dim_q, values[3])
-    found[TRANSLATION], found[ROTATION], found[GLOBAL] = values[0], values[1], values[2] * sizes
-    return np.where(body.moving, found, 0.0)
-
-
-def _noise(config: Config, body: Superquadric, scale: float, pushed: IntArray) -> FloatArray:
-    settings = config.body
-    roots = (
-        settings.translation_noise**0.5,
-        settings.rotation_noise**0.5,
-        settings.global_noise**0.5,
-        settings.local_noise**0.5,
+    noise, place, rate = _of_body(config, body, sizes_of(float(parameters[0])))
+    fine = mesh if config.nodes_are_markers else ClosedMesh.even(config.model.nodes)
+    return Assembly(
+        body=body,
+        model=model,
+        filter=BODY_FILTERS[config.filter.kind](config, blocks),
+        noise=np.concatenate([np.zeros(body.dim_q), noise, density]),
+        first=np.concatenate([place, rate, spread]),
+        shown=FineMesh.of(fine, mesh),
     )
-    rates = _of_parts(body, sizes_of(scale)[GLOBAL], roots) ** 2
-    pushes = 2.0 / settings.push_tau * _pushes(settings, pushed) ** 2
-    return np.concatenate([np.zeros(body.dim_q), rates, pushes])
 
 
-def _first(config: Config, body: Superquadric, scale: float, pushed: IntArray) -> FloatArray:
-    """Standard deviations of the state after a fit, shape (dim_x,)."""
-    sizes, speed = sizes_of(scale)[GLOBAL], config.filter.initial_velocity
-    place = _of_parts(body, sizes, (FITTED * scale, FITTED, FITTED, FITTED * scale))
-    rate = _of_parts(body, sizes, (speed, speed / scale, speed / scale, FITTED * speed))
-    return np.concatenate([place, rate, _pushes(config.body, pushed)])
+def _of_body(
+    config: Config, body: Superquadric, sizes: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of the coordinates the noise on their rates, and what a fit leaves open of both, (dim_q,).
+
+    sizes, shape (18,): of the coordinates that all nodes share.
+    """
+    settings, scale, speed = config.body, sizes[0], config.filter.initial_velocity
+
+    def each(translation: float, turn: float, shape: float, local: float) -> FloatArray:
+        found = np.full(body.dim_q, local)
+        found[TRANSLATION], found[ROTATION] = translation, turn
+        found[GLOBAL] = shape * sizes[GLOBAL]
+        return np.where(body.moving, found, 0.0)
+
+    roots = np.sqrt(
+        [
+            settings.translation_noise,
+            settings.rotation_noise,
+            settings.global_noise,
+            settings.local_noise,
+        ]
+    )
+    return (
+        each(*roots) ** 2,
+        each(FITTED * scale, FITTED, FITTED, FITTED * scale),
+        each(speed, speed / scale, speed / scale, FITTED * speed),
+    )
+
+
+def _push(settings: BodyConfig) -> tuple[ForceProcess | None, FloatArray, FloatArray]:
+    """How accelerations of the pose last, their noise, and their standard deviations."""
+    if settings.push == 'none':
+        return None, np.zeros(0), np.zeros(0)
+    process = PROCESSES[settings.push](1.0, settings.push_tau)
+    sigma = np.where(ROTATION.start > POSE, settings.push_translation, settings.push_rotation)
+    last = np.arange(len(process.variance)) == len(process.variance) - 1
+    density = np.outer(process.density * last, sigma**2).ravel()
+    return process, density, np.outer(np.sqrt(process.variance), sigma).ravel()

@@ -203,15 +203,20 @@ class BodyConfig:
         'together; each node has one of its own',
         choices=('parts', 'pose'),
     )
+    push: str = param(
+        'none',
+        'accelerations of the pose that last, as states: rough, smooth (with a rate that carries '
+        'them on), or none',
+        choices=('none', 'ornstein_uhlenbeck', 'matern'),
+    )
     push_translation: float = param(
         3.0,
-        'standard deviation of an acceleration of the centre that lasts, as of what pulls the '
-        'body; 0 is none',
+        'standard deviation of each component of that of the centre',
         'm/s^2',
-        low=0,
+        above=0,
     )
     push_rotation: float = param(
-        10.0, 'the same of each component of the quaternion; 0 is none', '1/s^2', low=0
+        5.0, 'the same of each component of the quaternion', '1/s^2', above=0
     )
     push_tau: float = param(0.2, 'time over which these accelerations forget', 's', above=0)
     translation_noise: float = param(

@@ -7,30 +7,39 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from cloth_predict.models.disturbed import ForceProcess
 from cloth_predict.models.linear_part import LinearPart, NormalModes
 from cloth_predict.models.superquadric import LOCAL, Superquadric
 from cloth_predict.types import FloatArray, IntArray
 
 
 class Accelerated:
-    """x = [q; q'; a]: q'' of the body plus a, and a' = -a / tau + noise (Ornstein-Uhlenbeck).
+    """x = [q; q'; a; ...]: q'' of the body plus a, a process of its own, followed by its rates.
 
-    coordinates, shape (k,): which of the 18 that all nodes share are pushed; tau [s].
+    coordinates, shape (k,): which of the 18 that all nodes share are pushed.
     """
 
-    def __init__(self, body: Superquadric, coordinates: IntArray, tau: float) -> None:
-        """Raises ValueError where tau is not positive, or a coordinate cannot be pushed."""
-        if tau <= 0:
-            raise ValueError('tau must be positive')
+    def __init__(self, body: Superquadric, coordinates: IntArray, process: ForceProcess) -> None:
+        """Raises ValueError where a coordinate cannot be pushed."""
         if not body.moving[coordinates].all() or (np.asarray(coordinates) >= LOCAL).any():
             raise ValueError('only coordinates that move, and that all nodes share, are pushed')
-        self.body, self.tau = body, tau
+        self.body, self.process = body, process
         self.coordinates = np.unique(coordinates)
 
     @property
+    def order(self) -> int:
+        """States of each push: itself, and its rates."""
+        return len(self.process.drift)
+
+    @property
+    def pushed(self) -> IntArray:
+        """Coordinate of each state after those of the body: of the pushes, then of their rates."""
+        return np.tile(self.coordinates, self.order)
+
+    @property
     def dim_x(self) -> int:
-        """States of the body, and one for each push."""
-        return self.body.dim_x + len(self.coordinates)
+        """States of the body, and those of the pushes."""
+        return self.body.dim_x + len(self.pushed)
 
     @property
     def dim_u(self) -> int:
@@ -39,10 +48,10 @@ class Accelerated:
 
     def f(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Time derivative of the state, shape (dim_x,)."""
-        own, push = x[: self.body.dim_x], x[self.body.dim_x :]
+        own, push = x[: self.body.dim_x], x[self.body.dim_x :].reshape(self.order, -1)
         rate = self.body.f(own, u)
-        rate[self.body.dim_q + self.coordinates] += push
-        return np.concatenate([rate, -push / self.tau])
+        rate[self.body.dim_q + self.coordinates] += push[0]
+        return np.concatenate([rate, (self.process.drift @ push).ravel()])
 
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f by x; the same object each time where the motion is linear."""
@@ -53,7 +62,7 @@ class Accelerated:
     def jac_input(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f by the input, on which no push depends."""
         inner = self.body.jac_input(x[: self.body.dim_x], u)
-        still = sparse.csr_array((len(self.coordinates), self.dim_u))
+        still = sparse.csr_array((len(self.pushed), self.dim_u))
         return sparse.vstack([inner, still], format='csr')
 
     def input_after(self, u: FloatArray, dt: float) -> FloatArray:
@@ -66,8 +75,9 @@ class Accelerated:
 
     @cached_property
     def linear_part(self) -> LinearPart:
-        """That of the body, with modes of three states for what is pushed."""
+        """That of the body, with modes of more states for what is pushed."""
         inner, first = self.body.linear_part, self.body.dim_x
+        rates, size = len(self.coordinates) * np.arange(self.order), 2 + self.order
         modes: list[NormalModes] = []
         for group in inner.modes:
             pushed = np.isin(group.rows[0, 0], self.coordinates)
@@ -75,20 +85,19 @@ class Accelerated:
                 modes.append(group)
                 continue
             modes.append(NormalModes(group.rows[:, :, ~pushed], group.matrices[~pushed]))
-            order = np.searchsorted(self.coordinates, group.rows[0, 0, pushed])
-            rows = np.vstack([group.rows[0][:, pushed], first + order])
-            matrices = np.zeros((len(order), 3, 3))
+            which = np.searchsorted(self.coordinates, group.rows[0, 0, pushed])
+            rows = np.vstack([group.rows[0][:, pushed], first + rates[:, None] + which])
+            matrices = np.zeros((len(which), size, size))
             matrices[:, :2, :2] = group.matrices[pushed]
-            matrices[:, 1, 2], matrices[:, 2, 2] = 1.0, -1.0 / self.tau
+            matrices[:, 1, 2], matrices[:, 2:, 2:] = 1.0, self.process.drift
             modes.append(NormalModes(rows[None], matrices))
         return LinearPart(self._pushed(inner.matrix), tuple(modes))
 
     def _pushed(self, jac: sparse.csr_array) -> sparse.csr_array:
         """Jacobian with the pushes, from that of the body."""
         number = len(self.coordinates)
-        rows = self.body.dim_q + self.coordinates
-        gain = sparse.csr_array(
-            (np.ones(number), (rows, np.arange(number))), shape=(self.body.dim_x, number)
-        )
-        decay = -sparse.eye_array(number) / self.tau
-        return sparse.block_array([[jac, gain], [None, decay]], format='csr')
+        places = self.body.dim_q + self.coordinates, np.arange(number)
+        shape = self.body.dim_x, len(self.pushed)
+        gain = sparse.csr_array((np.ones(number), places), shape=shape)
+        drift = sparse.kron(self.process.drift, sparse.eye_array(number))
+        return sparse.block_array([[jac, gain], [None, drift]], format='csr')
