@@ -9,6 +9,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from cloth_predict.config import ModelConfig
@@ -167,7 +168,8 @@ def snapshots(evaluation: Evaluation, edges: IntArray, path: Path, count: int = 
     The figure looks along the direction in which the surface extends least, turned a little, with
     equal scales (as Gomes 2016, figure 6.14).
     """
-    figure = Figure(figsize=(3.2 * count, 4.4), layout='constrained')
+    above_legend = ConstrainedLayoutEngine(rect=(0.0, 0.08, 1.0, 0.92))
+    figure = Figure(figsize=(3.2 * count, 4.4), layout=above_legend)
     judged, method = evaluation.judged, shown(evaluation)
     frames = np.linspace(0, len(judged.targets) - 1, count + 1).astype(int)[1:]
     actual, predicted = judged.actual, judged.answers[method].predicted
@@ -189,7 +191,7 @@ def snapshots(evaluation: Evaluation, edges: IntArray, path: Path, count: int = 
         seconds = (judged.targets[k] - judged.start) / 1e9
         axes.set_title(f't = {seconds:.1f} s', fontsize=10)
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside lower center', ncols=3)
+    figure.legend(handles, labels, loc='lower center', ncols=3)
     figure.savefig(path, dpi=120)
 
 
