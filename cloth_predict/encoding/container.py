@@ -110,7 +110,9 @@ def read_encoded(path: Path) -> Iterator[tuple[str, Any]]:
                     topics[record.id] = record.topic
                 elif isinstance(record, Message):
                     topic = topics[record.channel_id]
-                    if record.sequence != expected or topic not in _KINDS:
+                    if topic not in _KINDS:
+                        raise FormatError(f'{path}: not a recording made by `encode`')
+                    if record.sequence != expected:
                         raise ValueError(f'message {expected} is missing')
                     expected += 1
                     yield topic, TYPES.deserialize_cdr(record.data, _KINDS[topic])

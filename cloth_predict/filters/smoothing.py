@@ -101,7 +101,7 @@ def smooth(
     held: list[Moment] = []
     for moment in moments:
         held.append(moment)
-        if window is not None and len(held) == window + lag + 1:
+        if window is not None and len(held) == window + lag:
             yield from _backward(held)[:window]
             held = held[window:]
     yield from _backward(held)
