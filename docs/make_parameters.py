@@ -6,6 +6,7 @@ import dataclasses
 import typing
 
 from cloth_predict.config import Config
+from cloth_predict.config.ruler_video import RulerVideoConfig
 
 HEAD = """# Parameters
 
@@ -58,4 +59,5 @@ def section(kind: type, prefix: str, title: str) -> list[str]:
 
 if __name__ == '__main__':
     print(HEAD)
-    print('\n'.join(section(Config, '', 'General')).rstrip())
+    print('\n'.join(section(Config, '', 'General')))
+    print('\n'.join(section(RulerVideoConfig, '', 'A bar in a video')).rstrip())

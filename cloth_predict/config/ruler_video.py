@@ -58,7 +58,7 @@ class VideoConfig:
 
 @dataclass(frozen=True)
 class RulerVideoConfig:
-    """A bar that is followed in a video."""
+    """A bar that is followed in a video; has a parameter file of its own."""
 
     frame: str = param('table', 'frame_id of all messages')
     ruler: RulerConfig = field(default_factory=RulerConfig)

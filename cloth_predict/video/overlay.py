@@ -38,7 +38,7 @@ def augmented(seen: Seen, calibration: Calibration) -> Picture:
     cv2.polylines(picture, [_fine(edges)], True, ESTIMATE, 2, cv2.LINE_AA, SHIFT)
     for tail, tip in calibration.to_pixels(friction_arrows(seen)):
         cv2.arrowedLine(picture, _point(tail), _point(tip), FORCE, 2, cv2.LINE_AA, SHIFT, 0.2)
-    for row, line in enumerate(told(seen)):
+    for row, line in enumerate(reversed(told(seen))):
         place = (8, picture.shape[0] - 10 - ROW * row)
         cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, INK, 1, cv2.LINE_AA)
     return picture
