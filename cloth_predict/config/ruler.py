@@ -57,7 +57,7 @@ class RulerConfig:
     mu_noise: float = param(
         3e-8, 'spectral density of the random walk of the friction', '1/s', low=0
     )
-    alpha: float = param(0.4, 'spread of the sigma points', above=0, high=1)
+    alpha: float = param(0.6, 'spread of the sigma points', above=0, high=1)
     step: float = param(0.01, 'longest step of the motion', 's', above=0)
     again: float = param(
         0.6,

@@ -19,7 +19,8 @@ ComplexArray = NDArray[np.complex128]
 
 ANGLE, VELOCITY, SPIN = 2, slice(3, 5), 5
 """Where the state has alpha [rad], V_x, V_y [m/s] and V_alpha [rad/s]; x_G, y_G [m] come first."""
-PARAMETERS = ('L', 'L1', 'L2', 'mu')
+TINY = 1e-300
+"""Speed [m/s] under which a contact has none, so that its direction exists."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,8 @@ class Ruler:
     L2 / (L1 + L2). The mass cancels: weight, friction and the inertia m L^2 / 12 are all in
     proportion to it.
 
-    States may come many at once, of shape (..., 6), with parameters of shape (...) or for all.
+    States may come many at once, of shape (..., 6), with one parameter for all or, of states of
+    shape (points, 6), one for each.
     """
 
     L: FloatArray | float
@@ -52,15 +54,14 @@ class Ruler:
     @cached_property
     def places(self) -> FloatArray:
         """Where the contacts are along the bar, from its centre [m], shape (..., 2)."""
-        return np.stack([-np.asarray(self.L1), np.asarray(self.L2)], axis=-1)
+        return np.array([np.negative(self.L1), self.L2]).T
 
     @cached_property
     def grip(self) -> FloatArray:
         """Greatest friction at the contacts by the mass of the bar [N/kg], shape (..., 2)."""
-        on_a = self.L2 / (self.L1 + self.L2) if self.share is None else self.share
-        return np.stack(np.broadcast_arrays(on_a, 1.0 - np.asarray(on_a)), -1) * (
-            self.g * np.asarray(self.mu)[..., None]
-        )
+        span = np.add(self.L1, self.L2)
+        on_a = self.L2 / span if self.share is None else np.full_like(span, self.share)
+        return np.array([on_a, 1.0 - on_a]).T * (self.g * np.asarray(self.mu)[..., None])
 
     def f(self, x: FloatArray, u: FloatArray) -> FloatArray:
         """Time derivative of the state (the equations of section 2.1), while both contacts slide.
@@ -73,7 +74,7 @@ class Ruler:
         after = np.empty_like(x)
         after[..., :3] = x[..., 3:]
         after[..., 3], after[..., 4] = force.real, force.imag
-        after[..., SPIN] = (self.places * pulls.imag).sum(axis=-1) / self.inertia
+        after[..., SPIN] = (self._levers * pulls.imag).sum(axis=-1)
         return after
 
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
@@ -140,8 +141,9 @@ class Ruler:
         """
         turn = np.exp(1j * x[..., ANGLE])
         velocities, impulse = self._velocities(x, turn), dt * self.grip
-        after, held = x.copy(), np.zeros(x.shape[:-1], bool)
-        slow = np.abs(velocities) <= self._reach(x, impulse, dt)
+        after, held = x, np.zeros(x.shape[:-1], bool)
+        quickest = self._quickest + np.abs(self.places) * x[..., SPIN, None] ** 2
+        slow = np.abs(velocities) <= dt * quickest
         if not slow.any():
             return after, held
         for pivot in (0, 1):
@@ -199,23 +201,30 @@ class Ruler:
         state = (centre.real, centre.imag, x[..., ANGLE] + angle, later.real, later.imag, last)
         return np.stack(state, axis=-1), np.asarray(holds)
 
-    def _reach(self, x: FloatArray, impulse: FloatArray, dt: float) -> FloatArray:
-        """Speed [m/s] of a contact, (..., 2), from which on no such impulses can stop it."""
-        lever = self.places[..., None] * self.places[..., None, :] / self.inertia[..., None, None]
-        by_each = impulse[..., None, :] * (1.0 + np.abs(lever))
-        turning = dt * np.abs(self.places) * x[..., SPIN, None] ** 2
-        return np.asarray(by_each.sum(axis=-1) + turning)
+    @cached_property
+    def _across(self) -> ComplexArray:
+        return np.asarray(1j * self.places)
+
+    @cached_property
+    def _levers(self) -> FloatArray:
+        """Angular acceleration by each unit of friction across the bar [1/m], shape (..., 2)."""
+        return np.asarray(self.places / self.inertia[..., None])
+
+    @cached_property
+    def _quickest(self) -> FloatArray:
+        """Acceleration of each contact [m/s^2], (..., 2), that friction at both cannot exceed."""
+        by_other = np.abs(self.places[..., None] * self._levers[..., None, :])
+        return np.asarray((self.grip[..., None, :] * (1.0 + by_other)).sum(axis=-1))
 
     def _pulls(self, x: FloatArray, turn: ComplexArray) -> ComplexArray:
         """Friction on the contacts by the mass [N/kg], along and across the bar, (..., 2)."""
         velocity = self._velocities(x, turn)
-        speed = np.abs(velocity)
-        return np.asarray(-self.grip * velocity / np.where(speed > 0.0, speed, 1.0))
+        return np.asarray(-self.grip * velocity / np.maximum(np.abs(velocity), TINY))
 
     def _velocities(self, x: FloatArray, turn: ComplexArray) -> ComplexArray:
         """Velocities of the contacts [m/s], along and across the bar, shape (..., 2)."""
-        centre = _velocity(x) * turn.conj()
-        return np.asarray(centre[..., None] + 1j * self.places * x[..., SPIN, None])
+        centre = (_velocity(x) * turn.conj())[..., None]
+        return np.asarray(centre + self._across * x[..., SPIN, None])
 
 
 def _centre(x: FloatArray) -> ComplexArray:
