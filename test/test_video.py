@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -266,6 +268,28 @@ def test_files_that_are_no_frames_are_named(tmp_path):
         list(frames(tmp_path, 50.0))
     with pytest.raises(FormatError, match=r'is an \.mp4 file'):
         Writer(tmp_path / 'x.avi', 50.0)
+
+
+@pytest.mark.parametrize(
+    'call',
+    [
+        "from cloth_predict.cli import main; sys.exit(main(['film', '-o', 'absent/x.mp4']))",
+        'from cloth_predict.nodes.start import ruler_node; sys.exit(ruler_node())',
+    ],
+    ids=['command', 'node'],
+)
+def test_without_opencv_one_line_says_what_to_install(call):
+    if 'node' in call:
+        pytest.importorskip('rclpy')
+    ended = subprocess.run(
+        [sys.executable, '-c', f"import sys; sys.modules['cv2'] = None; {call}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 1
+    (line,) = ended.stderr.splitlines()
+    assert "pip install 'cloth_predict[video]'" in line
 
 
 # --- the chain

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import signal
+import sys
 from importlib import import_module
+
+from cloth_predict.errors import ClothPredictError
 
 
 def mocap_replay_node() -> int:
@@ -35,4 +38,9 @@ def _start(name: str) -> int:
     # Until rclpy listens for it, Ctrl-C ends the process at once, not with a traceback of the
     # half second in which the node is imported.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    return int(import_module(f'cloth_predict.nodes.{name}').main())
+    try:
+        node = import_module(f'cloth_predict.nodes.{name}')
+    except ClothPredictError as error:  # such as OpenCV, which only some nodes need
+        print(f'[FATAL] {error}', file=sys.stderr)
+        return 1
+    return int(node.main())
