@@ -425,6 +425,12 @@ def test_the_command(tmp_path, parameters, capsys):
     assert '--storage needs --method likelihood or horizon' in capsys.readouterr().err
 
 
+def test_a_body_is_refused_by_name(tmp_path, parameters, capsys):
+    path = parameters(model={'kind': 'superquadric', 'nodes': 60})
+    assert main(['tune', 'nowhere', '-c', str(path), '-o', str(tmp_path / 'x.yaml')]) == 1
+    assert 'model.kind: nothing is searched of superquadric' in capsys.readouterr().err
+
+
 def test_what_cannot_be_written_is_said_before_anything_is_read(tmp_path, parameters, capsys):
     given = ['tune', 'nowhere', '-c', str(parameters(**FREE)), '-o']
     assert main([*given, str(tmp_path)]) == 1

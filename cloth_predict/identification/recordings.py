@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cloth_predict.config import Config
-from cloth_predict.errors import FormatError
+from cloth_predict.errors import ConfigError, FormatError
 from cloth_predict.evaluation.cases import Case, case_of
 from cloth_predict.formats.recording import read
 from cloth_predict.identification.provenance import content_hash
@@ -37,8 +37,11 @@ def read_apart(
 ) -> tuple[Recordings, Recordings]:
     """Read what is searched on, and what is held out of it.
 
-    Raises FormatError for a recording that is both, by what it holds: it would judge nothing.
+    Raises FormatError for a recording that is both, by what it holds: it would judge nothing; and
+    ConfigError for a model that is no mesh of springs.
     """
+    if config.model.kind != 'mass_spring':
+        raise ConfigError(f'model.kind: nothing is searched of {config.model.kind}')
     trained, others = Recordings.read(sources, config), Recordings.read(held_out, config)
     known = {content_hash(case.markers): case.name for case in trained.cases}
     for case in others.cases:
