@@ -8,9 +8,9 @@ import numpy as np
 from scipy import sparse
 
 from cloth_predict.bodies.surface_distance import nearest_on_surface
+from cloth_predict.models import rotation
 from cloth_predict.models.closed_mesh import ClosedMesh
-from cloth_predict.models.superquadric import LOCAL
-from cloth_predict.models.superquadric_kinematics import Kinematics
+from cloth_predict.models.superquadric_kinematics import LOCAL, ROTATION, Kinematics
 from cloth_predict.types import FloatArray, IntArray
 
 
@@ -59,9 +59,12 @@ class FineMesh:
         """Position [m], velocity [m/s] and acceleration [m/s^2] (eq. 42), each (fine, 3)."""
         fine, first, twice = (self.coordinates(values) for values in (q, rate, second))
         kinematics = self.kinematics
-        steady = kinematics.transport(fine, first)
-        velocity, change = kinematics.velocity(fine, first), kinematics.velocity(fine, twice)
-        return kinematics.position(fine), velocity, change + steady
+        shared, turn = kinematics.global_jacobian(fine), rotation.matrix(fine[ROTATION])
+        velocity, change = (
+            shared @ values[:LOCAL] + kinematics.local(values) @ turn.T
+            for values in (first, twice)
+        )
+        return kinematics.position(fine), velocity, change + kinematics.transport(fine, first)
 
     def covariance(self, of_coarse: FloatArray) -> FloatArray:
         """Covariances of the fine nodes [m^2], as if those around each erred alike, (fine, 3, 3).

@@ -143,6 +143,10 @@ def _by_matrix(
 def position_covariances(belief: Belief, obs: NodePositions) -> FloatArray:
     """Covariance of the position of each node that `obs` sees [m^2], without noise, (m, 3, 3)."""
     shared, own = obs.parts(belief.mean)
+    if isinstance(belief, BlockGaussian) and len(belief.own):  # the same, without the zeros
+        of_node = own @ belief.own[obs.nodes, :3, :3] @ own.T
+        common = belief.shared[:LOCAL, :LOCAL]
+        return symmetric(shared @ common @ shared.transpose(0, 2, 1) + of_node)
     jac = np.concatenate([shared, np.broadcast_to(own, (len(shared), 3, 3))], axis=2)
     rows = np.empty((len(shared), LOCAL + 3), np.int64)
     rows[:, :LOCAL] = np.arange(LOCAL)

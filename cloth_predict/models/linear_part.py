@@ -74,11 +74,7 @@ class NormalModes:
 
     def matrix(self, which: Which, time: float) -> FloatArray:
         """Function of A for the coordinates of one axis, shape (m, n, m, n)."""
-        modal = getattr(self.over(time), which).transpose(1, 2, 0)
-        if self.shapes is None or self.inverse is None:
-            return np.asarray(modal[..., None] * np.eye(modal.shape[2])).transpose(0, 2, 1, 3)
-        full = (self.shapes * modal[:, :, None, :]) @ self.inverse
-        return np.asarray(full.transpose(0, 2, 1, 3))
+        return _matrix(self, which, time)
 
     def apply(self, which: Which, time: float, own: FloatArray, back: bool) -> FloatArray:
         """Function of A, or its transpose, times columns of these rows, (axes, m, n, c)."""
@@ -90,6 +86,17 @@ class NormalModes:
             own = forth @ own
         moved = np.einsum('nij,ajnc->ainc', modal, own)
         return np.asarray(moved if into is None else into @ moved)
+
+
+@lru_cache(maxsize=32)  # of a few bodies: the interval between frames, and the horizons
+def _matrix(modes: NormalModes, which: Which, time: float) -> FloatArray:
+    modal = getattr(modes.over(time), which).transpose(1, 2, 0)
+    if modes.shapes is None or modes.inverse is None:
+        return np.asarray(
+            read_only((modal[..., None] * np.eye(modal.shape[2])).transpose(0, 2, 1, 3))
+        )
+    full = (modes.shapes * modal[:, :, None, :]) @ modes.inverse
+    return np.asarray(read_only(full.transpose(0, 2, 1, 3)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,17 +22,20 @@ from cloth_predict import commands, config
 from cloth_predict.config import Config
 from cloth_predict.errors import ClothPredictError
 from cloth_predict.evaluation import report
-from cloth_predict.evaluation.cases import case_of
+from cloth_predict.evaluation.bodies import methods_of, on_surface
+from cloth_predict.evaluation.cases import Case, case_of
 from cloth_predict.evaluation.compare import Evaluation, summed
 from cloth_predict.evaluation.judging import judge
-from cloth_predict.evaluation.predictors import Predicted, methods
-from cloth_predict.evaluation.runs import Run, follow
+from cloth_predict.evaluation.predictors import Predicted
+from cloth_predict.evaluation.runs import Run, aimed_at, follow
 from cloth_predict.formats.bag import create_bag, read_clouds
 from cloth_predict.formats.pointcloud import decode, xyz
 from cloth_predict.formats.recording import read
+from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.nodes._ros import spin
 from cloth_predict.nodes.recorder import Recorder
-from cloth_predict.types import FloatArray, IntArray
+from cloth_predict.surface.topology import NO_TRIANGLES
+from cloth_predict.types import FloatArray
 
 DISCOVERY = 20.0
 """Longest wait [s] for the nodes to find each other."""
@@ -94,12 +97,13 @@ def demo(bag: Path, config_path: Path, output: Path, progress: Callable[[int, in
             recorder.destroy_node()
             context.try_shutdown()
     kind, ahead = settings.filter.kind, [settings.horizon]
-    runs = {name: follow(make(settings), case, ahead)[0] for name, make in methods([kind]).items()}
+    made = methods_of(settings, [kind])
+    runs = {name: follow(make(settings), case, ahead)[0] for name, make in made.items()}
     arrivals = recorder.arrivals
     latency = _latencies(arrivals['markers'], arrivals['cloth/prediction'], settings.horizon)
     stamps = case.markers.stamps[case.ahead]
     seconds = float(np.mean(latency)) * len(stamps) / 1e3
-    runs[f'{kind}_live'] = _live_run(output, stamps, settings, seconds)
+    runs[f'{kind}_live'] = _live_run(output, case, settings, seconds)
     judged = judge(stamps, settings.horizon, case.reference, runs, str(bag))
     evaluation = summed(settings.horizon, judged, settings)
     counts = {
@@ -241,16 +245,23 @@ def _domain() -> Iterator[None]:
             os.environ.update(before)
 
 
-def _live_run(output: Path, stamps: IntArray, settings: Config, seconds: float) -> Run:
-    """Published predictions for the frames at `stamps`; NaN where lost."""
-    published = {}
+def _live_run(output: Path, case: Case, settings: Config, seconds: float) -> Run:
+    """Published predictions for the frames of a case; NaN where lost."""
+    published, stamps = {}, case.markers.stamps[case.ahead]
+    on_body = case.reference.surface
+    triangles = ClosedMesh.even(settings.model.nodes).triangles if on_body else NO_TRIANGLES
     for stamp, message in read_clouds(output, 'cloth/prediction'):
         points = decode(message, ('x', 'y', 'z', 'sigma'))
-        published[stamp] = Predicted(xyz(points), points['sigma'].ravel().astype(float))
+        sigma = points['sigma'].ravel().astype(float)
+        published[stamp] = Predicted(xyz(points), sigma, triangles)
     unknown = Predicted.unknown(settings.model.count)
     ahead = round(settings.horizon * 1e9)
     found = [published.get(stamp + ahead, unknown) for stamp in stamps.tolist()]
-    positions, sigmas = (np.array(values) for values in zip(*found, strict=True))
+    if on_body:
+        aims = aimed_at(case.reference, stamps, settings.horizon)
+        found = [on_surface(one, aim) for one, aim in zip(found, aims, strict=True)]
+    positions = np.array([one.position for one in found])
+    sigmas = np.array([one.sigma for one in found])
     unknown_nis, unknown_nees = np.full(len(stamps), np.nan), np.full(sigmas.shape, np.nan)
     return Run(positions, sigmas, unknown_nis, unknown_nees, seconds)
 
