@@ -103,3 +103,11 @@ def test_points_that_are_no_body(tmp_path, command, markers, points, told):
     assert err.startswith(f'cloth-predict: {bag}: no surface yet: {told}')
     assert err.count('\n') == 1
     assert not (tmp_path / 'x').exists()
+
+
+def test_the_light_on_a_body_is_not_judged(tmp_path, command, markers):
+    bag = recorded(tmp_path / 'bag', markers)
+    code, out, err = command('project', bag)
+    assert (code, out) == (1, '')
+    assert err.startswith('cloth-predict: model.kind superquadric: where light lands is judged')
+    assert err.count('\n') == 1

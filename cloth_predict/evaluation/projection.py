@@ -98,6 +98,11 @@ def project(
     """
     if not 0 <= delay < np.inf:
         raise ConfigError(f'the delay is {delay} s: a frame shows no markers that come after it')
+    if case.reference.surface:
+        raise ConfigError(
+            f'model.kind {config.model.kind}: where light lands is judged vertex by vertex, and no '
+            f'vertex of this body is a marker'
+        )
     starts = starts_of(case, config.projector.fps)
     tracker = Tracker(config)
     known = list(knowledge(tracker, case, starts, delay, progress))
