@@ -197,7 +197,14 @@ def insect(
     rng: np.random.Generator, duration: float, progress: Progress, step: float = 5e-3
 ) -> Truth:
     """An insect of five parts, pulled at its nose and at the tips of its wings (sec. VI)."""
-    bodies, starts = insect_at_rest(ClosedMesh.even(LIMB_NODES))
+    return _filmed(*insect_scene(rng, LIMB_NODES), duration, progress, step, BETWEEN_MARKERS)
+
+
+def insect_scene(
+    rng: np.random.Generator, nodes: int
+) -> tuple[Articulated, list[FloatArray], list[list[Forces]]]:
+    """The insect with so many nodes on each part, its parts at rest, and the forces on each."""
+    bodies, starts = insect_at_rest(ClosedMesh.even(nodes))
     flap = Pull.draw(rng, np.zeros(0), (0.005, 0.03, 0.005), waves=2)
     nose = Pull.draw(rng, np.zeros(0), (0.03, 0.015, 0.015))
     pulls = {
@@ -205,12 +212,12 @@ def insect(
         'wing_left': replace(flap, share=gripped(bodies.parts[3].mesh, (0.0, 1.0, 0.0))),
         'wing_right': replace(flap, share=gripped(bodies.parts[4].mesh, (0.0, -1.0, 0.0))),
     }
-    forces = []
+    forces: list[list[Forces]] = []
     for name, part, start in zip(INSECT, bodies.parts, starts, strict=True):
         rest = part.position(start)
         own = [pulls[name]] if name in pulls else []
         forces.append([Elastic(rest, 10.0), Tether(rest, 0.5), *own])
-    return _filmed(bodies, starts, forces, duration, progress, step, BETWEEN_MARKERS)
+    return bodies, starts, forces
 
 
 def insect_labels(markers: int) -> tuple[str, ...]:

@@ -8,13 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from cloth_predict.errors import ConfigError
-from cloth_predict.experiments import goeller2015, gomes2016
+from cloth_predict.experiments import goeller2015, gomes2016, metaxas1993
 from cloth_predict.experiments.rows import Experiment, Row, Scope
 from cloth_predict.formats.files import writing
 
 WORKS: dict[str, tuple[Experiment, ...]] = {
     'gomes2016': gomes2016.EXPERIMENTS,
     'goeller2015': goeller2015.EXPERIMENTS,
+    'metaxas1993': metaxas1993.EXPERIMENTS,
 }
 """A new work is one entry."""
 

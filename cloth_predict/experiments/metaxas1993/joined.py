@@ -1,0 +1,162 @@
+"""Bodies that are joined, followed by the paper's estimator and by ours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cloth_predict.experiments.metaxas1993.ours import Ours
+from cloth_predict.experiments.metaxas1993.recipe import (
+    LONGER,
+    LONGEST,
+    MOST,
+    STEP,
+    Recipe,
+    admissible,
+    nearest,
+)
+from cloth_predict.filters.blocks import BlockGaussian, Blocks
+from cloth_predict.filters.ekf import ExtendedKalmanFilter
+from cloth_predict.filters.linear import condition
+from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.models.constraints import Articulated
+from cloth_predict.models.joints import Joint, Joints
+from cloth_predict.models.superquadric import Superquadric
+from cloth_predict.observations import NodePositions
+from cloth_predict.types import FloatArray, Gaussian
+
+Points = Sequence[FloatArray]
+"""Points of each part, shape (m, 3)."""
+HELD = 1e-6
+"""Standard deviation to which a joint is said to hold, in the units of the bodies."""
+ROUNDS = 6
+"""Linearisations of an update, at each of which points find their nodes anew."""
+
+
+@dataclass(frozen=True)
+class JoinedRecipe:
+    """The paper's estimator for each part; forces of the joints make C' + alpha C = 0 (36).
+
+    They act on what the data do in a step: the parts move freely, and then as little as it takes.
+    """
+
+    recipe: Recipe
+    joints: Joints
+    alpha: float
+
+    def frames(
+        self, states: Sequence[FloatArray], frames: Sequence[Points]
+    ) -> Iterator[list[FloatArray]]:
+        """Coordinates of the parts after each frame, from their states at first."""
+        bodies = self.joints.bodies
+        beliefs = [self.recipe.start(b, x[: b.dim_q]) for b, x in zip(bodies, states, strict=True)]
+        for points in frames:
+            dt, time = STEP, 0.0
+            while time < MOST:
+                before = np.concatenate([belief.mean for belief in beliefs])
+                beliefs = self.step(beliefs, points, dt)
+                moved = np.concatenate([belief.mean for belief in beliefs]) - before
+                time += dt
+                if np.abs(moved).max() * STEP < self.recipe.resting * dt:
+                    break
+                dt = min(dt * LONGER, LONGEST)
+            yield [belief.mean for belief in beliefs]
+
+    def step(
+        self, beliefs: Sequence[BlockGaussian], points: Points, dt: float
+    ) -> list[BlockGaussian]:
+        """Beliefs dt [s] later."""
+        bodies = self.joints.bodies
+        q = np.concatenate([belief.mean for belief in beliefs])
+        free = [
+            self.recipe.step(body, belief, z, nearest(body.position(belief.mean), z), dt)
+            for body, belief, z in zip(bodies, beliefs, points, strict=True)
+        ]
+        moved = np.concatenate([belief.mean for belief in free])
+        mobility = np.concatenate([body.moving for body in bodies]).astype(float)
+        linkage = self.joints.at(q, mobility)
+        closing = -np.expm1(-self.alpha * dt) * self.joints.violation(q)
+        moved = moved - linkage.moved(linkage.solve(linkage.rows @ (moved - q) + closing))
+        parts = [moved[at] for at in self.joints.coordinates]
+        return [
+            belief.moved_to(admissible(body, part))
+            for body, belief, part in zip(bodies, free, parts, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class JoinedFilter:
+    """Ours: one filter of all parts, to which joints are measurements without noise."""
+
+    bodies: tuple[Superquadric, ...]
+    joints: tuple[Joint, ...]
+    ours: Ours
+
+    def frames(
+        self, states: Sequence[FloatArray], frames: Sequence[Points]
+    ) -> Iterator[list[FloatArray]]:
+        """Coordinates of the parts after each frame, from their states at first."""
+        model = Articulated(self.bodies, [], 0.0)
+        kalman = ExtendedKalmanFilter(INTEGRATORS['exponential'])
+        belief, density = self._start(model, states)
+        for k, points in enumerate(frames):
+            if k:
+                still = np.zeros(model.dim_u)
+                belief = kalman.predict(belief, model, still, density, self.ours.interval)
+            belief = self._taken(model, belief, points)
+            yield [
+                x[: body.dim_q]
+                for body, x in zip(self.bodies, model.split(belief.mean), strict=True)
+            ]
+
+    def _start(
+        self, model: Articulated, states: Sequence[FloatArray]
+    ) -> tuple[Gaussian, FloatArray]:
+        """The belief before the first frame, without a correlation between parts, and the noise."""
+        variances = []
+        for body, x in zip(self.bodies, states, strict=True):
+            known = self.ours.start(body, Blocks.of_body(body, 'pose'), x)
+            variances.append(known.marginals(np.arange(body.dim_x)[:, None])[:, 0, 0])
+        densities = [self.ours.density(body) for body in self.bodies]
+        prior = Gaussian(model.join(list(states)), np.diag(model.join(variances)))
+        return prior, model.join(densities)
+
+    def _taken(self, model: Articulated, belief: Gaussian, points: Points) -> Gaussian:
+        """The belief after a frame, linearised again and again where the last one is (Gauss and
+        Newton).
+        """
+        at, rows, joined = belief.mean, model.rows, Joints(self.bodies, self.joints)
+        for _ in range(ROUNDS):
+            jacs, residuals, noise = [], [], []
+            for body, own, x, z in zip(self.bodies, rows, model.split(at), points, strict=True):
+                obs = NodePositions(body, nearest(body.position(x), z), self.ours.sigma)
+                jac = np.zeros((z.size, model.dim_x))
+                jac[:, own] = obs.jac(x)
+                jacs.append(jac)
+                residuals.append(z.ravel() - obs.h(x))
+                noise.append(obs.cov)
+            jac = np.zeros((3 * len(self.joints), model.dim_x))
+            jac[:, : model.dim_q] = joined.jacobian(at[: model.dim_q])
+            jacs.append(jac)
+            residuals.append(-joined.violation(at[: model.dim_q]))
+            noise.append(np.full(len(jac), HELD**2))
+            H, residual = np.concatenate(jacs), np.concatenate(residuals)
+            off = residual - H @ (belief.mean - at)
+            found, _ = condition(belief, H, np.concatenate(noise), off)
+            at = model.admissible(found.mean)
+        return replace(found, mean=closed(model, joined, at))
+
+
+def closed(model: Articulated, joints: Joints, x: FloatArray) -> FloatArray:
+    """The state nearest to this one, by Newton's method, at which the joints hold.
+
+    What brings parameters back into their ranges opens them.
+    """
+    for _ in range(ROUNDS):
+        q = x[: model.dim_q]
+        linkage = joints.at(q, model.moving.astype(float))
+        q = q - linkage.moved(linkage.solve(joints.violation(q)))
+        x = model.admissible(np.append(q, x[model.dim_q :]))
+    return x
