@@ -100,8 +100,8 @@ def project(
         raise ConfigError(f'the delay is {delay} s: a frame shows no markers that come after it')
     if case.reference.surface:
         raise ConfigError(
-            f'model.kind {config.model.kind}: where light lands is judged vertex by vertex, and no '
-            f'vertex of this body is a marker'
+            f'model.kind {config.model.kind}: where light lands is judged vertex by vertex, and '
+            f'no vertex of this body is a marker'
         )
     starts = starts_of(case, config.projector.fps)
     tracker = Tracker(config)
