@@ -39,6 +39,7 @@ NUMBERS = [
 ]  # fmt: skip
 MODEL = {'rows': 2, 'cols': 3, 'width': 0.2, 'height': 0.1}
 ANCHORS = {'nodes': [0, 1, 2]}
+ONE_STEP = {'max_step': 0.02}  # s, from frame to frame
 
 Parameters = Callable[..., Path]
 
@@ -409,7 +410,7 @@ def test_evaluate_writes_a_folder(
 def test_evaluate_filters_that_the_configuration_allows(
     run: Run, bag: Path, parameters: Parameters
 ) -> None:
-    config = small(parameters, wind={'kind': 'normal'})
+    config = small(parameters, wind={'kind': 'normal'}, horizon=0.02, filter=ONE_STEP)
     line = run.badly('evaluate', bag, '-c', config, '--filters', 'ekf', 'fixed_gain')
     assert line == 'filter.kind fixed_gain needs wind.kind none'
     code, out, err = run('evaluate', bag, '-c', config, '--filters', 'all', '--json')

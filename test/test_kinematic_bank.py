@@ -31,7 +31,7 @@ def test_bank_equals_one_filter_of_filterpy_for_each_marker(name: str) -> None:
     drift = np.array(DRIFTS[name])
     bank = KinematicBank.unseen(MOTIONS[name], DENSITY, SIGMA, MARKERS)
     tracks: dict[int, KinematicTrack] = {}
-    for _ in range(60):
+    for _ in range(30):
         dt, ahead = rng.uniform(0.002, 0.05), rng.uniform(0.0, 0.3)
         positions = rng.normal(0.0, 0.1, (MARKERS, 3))
         visible = rng.random(MARKERS) > 0.5

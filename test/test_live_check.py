@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import shipped
 
 from cloth_predict.config import Config, load
-from cloth_predict.evaluation.compare import evaluate
+from cloth_predict.evaluation.cases import labelled_case
+from cloth_predict.evaluation.compare import compare
 from cloth_predict.evaluation.judging import WARM_UP
 from cloth_predict.evaluation.predictors import METHODS
-from cloth_predict.formats.recording import read
 from cloth_predict.tracking import live_check
 from cloth_predict.tracking.live_check import ENOUGH, LiveCheck, Realised, warning
 from cloth_predict.types import BoolArray, FloatArray, MarkerSequence, Surface
@@ -56,9 +57,9 @@ def follow(
 
 @pytest.fixture(scope='module')
 def towel() -> MarkerSequence:
-    """3 s of the shipped recording; one frame in nine is not there, and many markers."""
-    markers = read(ROOT / 'bags' / 'towel_fan').markers
-    keep = np.flatnonzero(np.arange(300) % 9 != 4)
+    """2.4 s of the shipped recording; one frame in nine is not there, and many markers."""
+    markers = shipped().markers
+    keep = np.flatnonzero(np.arange(240) % 9 != 4)
     seen = np.random.default_rng(3).random((len(keep), 20)) > 0.1
     seen[0] = True
     visible = markers.visible[keep] & seen
@@ -88,27 +89,21 @@ def free_nodes(config: Config) -> BoolArray:
     return free
 
 
-@pytest.fixture(scope='module')
-def reports(towel: MarkerSequence) -> dict[str, Realised]:
-    return watched(towel, load(ROOT / 'config' / 'towel.yaml'), [0.1, 0.037, 0.0]).report()
-
-
-# on a frame, between two frames, and at the frame itself
-@pytest.mark.parametrize('horizon', [0.1, 0.037, 0.0])
-def test_equal_to_the_evaluation(
-    towel: MarkerSequence, reports: dict[str, Realised], horizon: float
-) -> None:
-    config, methods = load(ROOT / 'config' / 'towel.yaml'), ('hold', 'ekf')
-    expected = evaluate(towel, config, horizon, None, {name: METHODS[name] for name in methods})
-    found = reports[f'{horizon}']
-    assert found.count == len(expected.targets) > 100
-    # 1e-9: only the order of the sums differs
-    assert found.error_mm == pytest.approx(expected.scores['ekf'].rmse_mm, rel=1e-9)
-    assert found.hold_mm == pytest.approx(expected.scores['hold'].rmse_mm, rel=1e-9)
-    assert found.coverage == pytest.approx(expected.details['ekf'].coverage, rel=1e-9)
-    if horizon:
-        gain = 1 - expected.scores['ekf'].rmse_mm / expected.scores['hold'].rmse_mm
-        assert found.gain == pytest.approx(gain, rel=1e-9)
+def test_equal_to_the_evaluation(towel: MarkerSequence) -> None:
+    config = load(ROOT / 'config' / 'towel.yaml')
+    horizons = [0.1, 0.037, 0.0]  # on a frame, between two frames, and at the frame itself
+    reports = watched(towel, config, horizons).report()
+    methods = {name: METHODS[name] for name in ('hold', 'ekf')}
+    for expected in compare(labelled_case(towel, config, 'towel'), config, horizons, methods):
+        found = reports[f'{expected.horizon}']
+        assert found.count == len(expected.targets) > 100
+        # 1e-9: only the order of the sums differs
+        assert found.error_mm == pytest.approx(expected.scores['ekf'].rmse_mm, rel=1e-9)
+        assert found.hold_mm == pytest.approx(expected.scores['hold'].rmse_mm, rel=1e-9)
+        assert found.coverage == pytest.approx(expected.details['ekf'].coverage, rel=1e-9)
+        if expected.horizon:
+            gain = 1 - expected.scores['ekf'].rmse_mm / expected.scores['hold'].rmse_mm
+            assert found.gain == pytest.approx(gain, rel=1e-9)
 
 
 # --- closed forms

@@ -16,7 +16,7 @@ from cloth_predict.markers.association import markers_of_nodes
 from cloth_predict.tracker import Tracker
 
 ROOT = Path(__file__).parents[1]
-FRAMES = 320
+FRAMES = 250
 
 
 def unlabelled(positions, visible, rng, ghosts=0):
