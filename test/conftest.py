@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import domains
 import pytest
 
 from cloth_predict.performance import one_core
@@ -20,6 +21,12 @@ def quick() -> Iterator[None]:
     """Run all tests as the commands and the nodes run."""
     with one_core():
         yield
+
+
+@pytest.fixture(autouse=True, scope='session')
+def apart() -> None:
+    """Keep what commands start from being heard by whatever else runs on this machine."""
+    os.environ['ROS_DOMAIN_ID'] = str(domains.OF_COMMANDS)
 
 
 @pytest.fixture

@@ -1,11 +1,11 @@
 """A live graph over real DDS for tests: nodes in one process with a context of their own."""
 
-import itertools
 import os
 import time
 from collections import defaultdict
 from pathlib import Path
 
+import domains
 import numpy as np
 import rclpy
 from rclpy.context import Context
@@ -20,11 +20,9 @@ from cloth_predict.nodes._ros import cloud, nanoseconds
 
 ROOT = Path(__file__).parents[1]
 TOWEL = ROOT / 'config' / 'towel.yaml'
-BAG = ROOT / 'bags' / 'towel_fan'
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-# A domain for each graph: what another left behind is not heard. The demo uses 1 to 100.
-DOMAINS = itertools.cycle(range(101 + os.getpid() % 100, 233))
-DEADLINE = 20.0  # s; discovery may take some of it on a loaded machine
+DOMAINS = domains.of_graphs()
+DEADLINE = 60.0  # s; discovery may take some of it on a loaded machine
 RELIABLE = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.RELIABLE)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from live_graph import BAG, DEADLINE, RELIABLE, TOWEL, flat, frame, stamps, values
+from live_graph import DEADLINE, RELIABLE, TOWEL, flat, frame, stamps, values
+from recordings import BAG, shipped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 
 from cloth_predict.config import build, load, nest
 from cloth_predict.errors import ConfigError
-from cloth_predict.formats.bag import read_recording
 from cloth_predict.formats.pointcloud import SURFACE, decode, encode_surface, xyz
 from cloth_predict.nodes._ros import cloud, nanoseconds, to_time
 from cloth_predict.nodes.ekf_node import EkfNode
@@ -37,7 +37,7 @@ NODE = '/projector_node'
 
 @pytest.fixture(scope='module')
 def towel():
-    return read_recording(BAG).markers
+    return shipped().markers
 
 
 @pytest.fixture(scope='module')
@@ -242,21 +242,23 @@ def test_the_whole_graph_meets_its_frames_and_accounts_for_the_time(graph, towel
     graph.listen(NEXT, Header)
     graph.listen('diagnostics', DiagnosticArray)
     parameters = {
-        'horizon_mode': 'vsync', 'projector.max_age': 20.0, 'projector.fps': 10.0,
-        'projector.lead': 0.05,  # one thread has to come round to it in time
+        'horizon_mode': 'vsync', 'projector.max_age': 20.0, 'projector.fps': 5.0,
+        # one thread has to come round to it in time: each frame starts anew, which takes little
+        'projector.lead': 0.1, 'filter.max_gap': 0.001, 'limits.sigma_error': 9.0,
+        'projector.max_sigma': 9.0,
     }  # fmt: skip
     coarse = flat(TOWEL.with_name('towel_coarse.yaml'), **parameters)
-    ekf = graph.start(EkfNode, **coarse)
+    graph.start(EkfNode, **coarse)
     graph.start(ProjectorNode, **coarse)
     markers = graph.probe.create_publisher(PointCloud2, 'markers', RELIABLE)
     graph.until(lambda: markers.get_subscription_count() == 1 and len(graph.heard[NEXT]) > 2)
     seen, begin = np.flatnonzero(towel.visible[0]), time.monotonic()
     while values(graph, NODE).get('total_ms', 'unknown') == 'unknown':
-        taken = ekf._tracker.counts.total()
+        asked = len(graph.heard[NEXT])
         markers.publish(frame(time.time_ns() - 2 * MS, towel.positions[0, seen], ids=seen))
-        graph.until(lambda taken=taken: ekf._tracker.counts.total() > taken)
+        graph.until(lambda asked=asked: len(graph.heard[NEXT]) > asked)
         assert time.monotonic() - begin < DEADLINE
-    vsync = Vsync(20 * MS, 10.0)
+    vsync = Vsync(20 * MS, 5.0)
     for stamp in stamps(graph.heard[PREDICTION]):
         # each is for a frame; 1 ns: the one asked for and those after it are rounded twice
         assert vsync.after(stamp - 10) - stamp in (-1, 0, 1)
@@ -266,7 +268,7 @@ def test_the_whole_graph_meets_its_frames_and_accounts_for_the_time(graph, towel
     for name in (*stages, 'vsync_to_row', 'total'):
         assert float(found[f'{name}_ms']) <= float(found[f'{name}_p99_ms'])
     # the delay of 20 ms, and half a frame: the towel is in the middle of the picture
-    assert float(found['vsync_to_row_ms']) == pytest.approx(20 + 50, abs=3)
+    assert float(found['vsync_to_row_ms']) == pytest.approx(20 + 100, abs=6)
 
 
 # --- guards
