@@ -22,7 +22,7 @@ demo: $(READY)  ## Predict and project a moving towel; results in out/demo
 	$(VENV)/bin/cloth-predict demo
 
 test: $(READY) $(COLCON_READY)  ## Run the tests; ARGS go to pytest
-	$(VENV)/bin/python -m pytest $(ARGS)
+	$(VENV)/bin/python -m pytest -n 2 --dist loadfile $(ARGS)
 
 lint: $(READY)  ## Check style, formatting and types
 	$(VENV)/bin/python -m ruff check

@@ -64,6 +64,7 @@ setup(
             VIDEO,
             'psutil>=5.9',
             'pytest>=7.4',
+            'pytest-xdist>=3.8',
         ],
         # Bounded: newer linters find new faults in unchanged code.
         'lint': ['mypy>=2.4,<2.5', 'ruff>=0.17,<0.18'],
