@@ -289,6 +289,18 @@ def test_a_gap_parts_the_recording_and_nothing_is_known_in_it():
     assert after > first
 
 
+def test_nothing_is_said_beside_a_frame_that_is_nowhere_near():
+    config = build(SHEET, 'x')
+    _, markers, stamps = swinging(config, np.random.default_rng(12), 1.5, seen=1.0)
+    positions = markers.positions.copy()
+    positions[20:, 4:] += [0.0, 0.0, 0.5]
+    markers = replace(markers, positions=positions)
+    _, sigma = smoothed(markers, config, stamps[stamps <= markers.stamps[-1]])
+    known = np.isfinite(sigma).all(axis=1)
+    assert known[: 4 * 19 + 1].all()
+    assert not known[4 * 19 + 1 : 4 * 21].any()
+
+
 def test_what_a_start_calibrates_is_known_from_the_first_frame_on():
     settings = SHEET | {
         'model': SHEET['model'] | {'rest_length': 'calibrated', 'calibration': 0.5}

@@ -25,6 +25,9 @@ NO_ROWS = np.zeros(0, np.int64)
 WINDOW, LAG = 0.5, 0.5
 """Seconds that are smoothed at a time, and how far into the future each looks at least."""
 
+DOUBTED = 100.0
+"""Normalised innovation squared by its degrees of freedom from which on the filter is lost."""
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -54,8 +57,9 @@ def smoothed(
     """Positions [m] of the nodes at times [ns], (times, nodes, 3), and sigma [m], (times, nodes).
 
     markers: what was measured of each node, in order; stamps and times increase strictly. NaN
-    where no surface is followed. The filter is the extended Kalman filter whatever `filter.kind`
-    is, its covariance exact. Raises ConfigError for a body.
+    where no surface is followed, and beside frames that are nowhere near it. The filter is the
+    extended Kalman filter whatever `filter.kind` is, its covariance exact. Raises ConfigError for
+    a body.
     """
     if config.model.is_body:
         raise ConfigError(f'model.kind {config.model.kind}: only springs move between frames')
@@ -65,11 +69,23 @@ def smoothed(
     for start, stretch in starts(markers, exact):
         inside = (times >= stretch.stamps[0]) & (times <= stretch.stamps[-1])
         followed = _stretch(start, stretch, times[inside], config.filter.max_step)
-        surfaces = _surfaces(followed, exact, window, lag)
+        doubted: list[int] = []
+        surfaces = _surfaces(followed, exact, window, lag, doubted)
         for k, (position, deviation) in zip(np.flatnonzero(inside), surfaces, strict=True):
             positions[k], sigma[k] = position, deviation
             progress(1)
+        nowhere = _beside(stretch.stamps, doubted, times)
+        positions[nowhere], sigma[nowhere] = nan, nan
     return positions, sigma
+
+
+def _beside(stamps: IntArray, doubted: list[int], times: IntArray) -> BoolArray:
+    """Which times [ns] lie between a doubted frame and the one before or after, shape (times,)."""
+    found = np.zeros(len(times), bool)
+    for k in doubted:
+        first, last = stamps[max(k - 1, 0)], stamps[min(k + 1, len(stamps) - 1)]
+        found |= (times > first) & (times < last)
+    return found
 
 
 def starts(markers: MarkerSequence, config: Config) -> Iterator[tuple[Start, MarkerSequence]]:
@@ -132,12 +148,15 @@ def _driven(
 
 
 def _surfaces(
-    stretch: Stretch, config: Config, window: float, lag: float
+    stretch: Stretch, config: Config, window: float, lag: float, doubted: list[int]
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Positions [m], shape (markers, 3), and sigma [m], (markers,), where they are asked for."""
+    """Positions [m], shape (markers, 3), and sigma [m], (markers,), where they are asked for.
+
+    Frames that the filter does not believe are added to those doubted.
+    """
     layout, duration = stretch.start.layout, np.ptp(stretch.line) / NANOSECONDS
     rate = len(stretch.line) / max(duration, 1e-9)
-    found = smooth(_moments(stretch, config), ceil(window * rate), ceil(lag * rate))
+    found = smooth(_moments(stretch, config, doubted), ceil(window * rate), ceil(lag * rate))
     for belief, driven, wanted in zip(found, stretch.driven, stretch.wanted, strict=True):
         if wanted:
             position, variance = np.empty((len(layout.markers), 3)), np.empty(len(layout.markers))
@@ -148,7 +167,7 @@ def _surfaces(
             yield position, np.sqrt(np.maximum(variance, 0.0))
 
 
-def _moments(stretch: Stretch, config: Config) -> Iterator[Moment]:
+def _moments(stretch: Stretch, config: Config, doubted: list[int]) -> Iterator[Moment]:
     """Filter along the line; keeps the positions of the free markers where they are asked for."""
     now, markers, line = stretch.start, stretch.markers, stretch.line
     integrator, free = INTEGRATORS[config.filter.integrator], now.layout.free
@@ -165,4 +184,6 @@ def _moments(stretch: Stretch, config: Config) -> Iterator[Moment]:
                 now.layout.rows[seen].ravel(), config.filter.measurement_noise
             )
             belief, learnt = taken(belief, obs, markers.positions[frame, free[seen]].ravel())
+            if learnt is not None and learnt.nis > DOUBTED * len(learnt.residual):
+                doubted.append(int(frame))
         yield Moment.of(belief, kept[k + 1], tangent, learnt)

@@ -30,13 +30,14 @@ class Learnt:
     """What a measurement said.
 
     jac: H, or the rows of the state seen; cross: H P, shape (m, dim_x), P that before it; lower:
-    L of S = L L', shape (m, m); residual, (m,).
+    L of S = L L', shape (m, m); residual, (m,); nis: normalised innovation squared.
     """
 
     jac: FloatArray | IntArray
     cross: FloatArray
     lower: FloatArray
     residual: FloatArray
+    nis: float
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def taken(belief: Gaussian, obs: Observation, z: FloatArray) -> tuple[Gaussian, 
         return after, None
     cross = belief.cov[jac] if np.issubdtype(jac.dtype, np.integer) else jac @ belief.cov
     lower = root(innovation.cov, 'innovation covariance')
-    return after, Learnt(jac, cross, lower, innovation.residual)
+    return after, Learnt(jac, cross, lower, innovation.residual, innovation.nis)
 
 
 def smooth(
