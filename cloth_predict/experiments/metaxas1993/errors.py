@@ -29,7 +29,7 @@ class Errors:
     def of(
         cls, body: Superquadric, estimated: FloatArray, true: FloatArray, places: FloatArray
     ) -> Errors:
-        """Compare coordinates, shape (frames, dim_q), of a body whose nodes are those of the truth.
+        """Compare coordinates, (frames, dim_q), of a body whose nodes are those of the truth.
 
         places: true positions of the nodes, shape (frames, nodes, 3).
         """

@@ -136,8 +136,8 @@ def run(few: bool, scope: Scope) -> Row:
 
 WHY = (
     'The motion is another one. The recipe takes the next frame at rates below 2.5 in a second: '
-    f'with a = b = {ALPHA:g} a joint that is open by less than {2.5 / ALPHA:.1g} closes no further '
-    'in a frame. Ours takes the joints as measurements without noise.'
+    f'with a = b = {ALPHA:g} a joint that is open by less than {2.5 / ALPHA:.1g} closes no '
+    'further in a frame. Ours takes the joints as measurements without noise.'
 )
 
 

@@ -23,7 +23,8 @@ from cloth_predict.filters.linear import condition
 from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.models.constraints import Articulated
 from cloth_predict.models.joints import Joint, Joints
-from cloth_predict.models.superquadric import Superquadric
+from cloth_predict.models.superquadric import GLOBAL, Superquadric
+from cloth_predict.models.superquadric_shape import HIGH, LOW
 from cloth_predict.observations import NodePositions
 from cloth_predict.types import FloatArray, Gaussian
 
@@ -114,7 +115,7 @@ class JoinedFilter:
     def _start(
         self, model: Articulated, states: Sequence[FloatArray]
     ) -> tuple[Gaussian, FloatArray]:
-        """The belief before the first frame, without a correlation between parts, and the noise."""
+        """The belief before the first frame, of parts by themselves, and the noise."""
         variances = []
         for body, x in zip(self.bodies, states, strict=True):
             known = self.ours.start(body, Blocks.of_body(body, 'pose'), x)
@@ -124,9 +125,7 @@ class JoinedFilter:
         return prior, model.join(densities)
 
     def _taken(self, model: Articulated, belief: Gaussian, points: Points) -> Gaussian:
-        """The belief after a frame, linearised again and again where the last one is (Gauss and
-        Newton).
-        """
+        """The belief after a frame, linearised where the last one is (Gauss and Newton)."""
         at, rows, joined = belief.mean, model.rows, Joints(self.bodies, self.joints)
         for _ in range(ROUNDS):
             jacs, residuals, noise = [], [], []
@@ -152,11 +151,14 @@ class JoinedFilter:
 def closed(model: Articulated, joints: Joints, x: FloatArray) -> FloatArray:
     """The state nearest to this one, by Newton's method, at which the joints hold.
 
-    What brings parameters back into their ranges opens them.
+    What brings parameters back into their ranges opens them: one at an end of its range stays.
     """
     for _ in range(ROUNDS):
-        q = x[: model.dim_q]
-        linkage = joints.at(q, model.moving.astype(float))
+        q, mobility = x[: model.dim_q], model.moving.astype(float)
+        for at in joints.coordinates:
+            shape = q[at][GLOBAL]
+            mobility[at][GLOBAL] *= (shape > LOW) & (shape < HIGH)
+        linkage = joints.at(q, mobility)
         q = q - linkage.moved(linkage.solve(joints.violation(q)))
         x = model.admissible(np.append(q, x[model.dim_q :]))
     return x

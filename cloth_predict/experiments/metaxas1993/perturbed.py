@@ -37,7 +37,9 @@ def tracker_config(sigma: float) -> Config:
     return build(
         {
             'horizon': INTERVAL,
-            'model': {'kind': 'superquadric', 'nodes': 400, 'mass': 1.0, 'gravity': [0.0, 0.0, 0.0]},
+            'model': {
+                'kind': 'superquadric', 'nodes': 400, 'mass': 1.0, 'gravity': [0.0, 0.0, 0.0],
+            },
             'body': {'nodes': FITTED_NODES, 'coupling': 'pose', 'reattach': 1},
             'filter': {
                 'kind': 'decoupled', 'measurement_noise': sigma, 'max_gap': 1.0,

@@ -117,7 +117,8 @@ def run_table(name: str, scope: Scope) -> Row:
     for variance, one in zip(VARIANCES, cells, strict=True):
         numbers[f'variance {variance}: bound of the position error'] = one.bound
     paper = np.array(PAPER[name])
-    picture = scope.save(_picture(paper, both[0], both[1], [c.bound for c in cells]), f'table_{name}.png')
+    drawn = _picture(paper, both[0], both[1], [c.bound for c in cells])
+    picture = scope.save(drawn, f'table_{name}.png')
     return Row(
         name,
         told(paper),
@@ -154,7 +155,9 @@ def _why(name: str, both: Sequence[FloatArray], cells: Sequence[Cell]) -> str:
     )
 
 
-def _picture(paper: FloatArray, recipe: FloatArray, ours: FloatArray, bound: Sequence[float]) -> Figure:
+def _picture(
+    paper: FloatArray, recipe: FloatArray, ours: FloatArray, bound: Sequence[float]
+) -> Figure:
     figure, every = panels(5, 3.0, 3.0)
     lines = {'paper': (paper, '0.3'), 'recipe': (recipe, 'tab:orange'), 'ours': (ours, 'tab:red')}
     for k, (axes, name) in enumerate(zip(every, NAMES, strict=True)):

@@ -21,8 +21,8 @@ OF_FIT = (
     'model is fitted to the first frame, and follows; 2-3 s a frame'
 )
 OF_ERROR = (
-    'position error per frame at 75 % and variance 1: falls sharply, rises a little up to frame 8, '
-    'as displacements grow, and falls again; mean 0.29'
+    'position error per frame at 75 % and variance 1: falls sharply, rises a little up to frame '
+    '8, as displacements grow, and falls again; mean 0.29'
 )
 BEGUN = 30
 """Steps of the paper's method after which its fit is shown underway."""
@@ -119,8 +119,11 @@ def per_frame(scope: Scope) -> Row:
     axes.set(xlabel='frame', ylabel='position error', ylim=(0, None), xticks=frames[::2])
     axes.grid(alpha=0.3)
     axes.legend()
-    numbers = {f'{who}: position error, frame {k + 1}': float(errors[k])
-               for who, errors in (('recipe', recipe), ('ours', ours)) for k in range(len(recipe))}  # fmt: skip
+    numbers = {
+        f'{who}: position error, frame {k + 1}': float(errors[k])
+        for who, errors in (('recipe', recipe), ('ours', ours))
+        for k in range(len(recipe))
+    }
     return Row(
         '7',
         OF_ERROR,

@@ -1,0 +1,98 @@
+"""The experiments on deformable superquadrics: their pieces, and that each table is there."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cloth_predict.cli import main
+from cloth_predict.experiments.metaxas1993 import EXPERIMENTS, insect, tables
+from cloth_predict.experiments.metaxas1993.errors import Errors, least_position_error
+from cloth_predict.experiments.metaxas1993.joined import JoinedFilter
+from cloth_predict.experiments.metaxas1993.object import (
+    INTERVAL,
+    NODES,
+    first_state,
+    measured,
+    model,
+    moved,
+    thinned,
+)
+from cloth_predict.experiments.metaxas1993.ours import Ours
+from cloth_predict.experiments.metaxas1993.recipe import Recipe
+from cloth_predict.models.joints import Joints
+
+
+@pytest.fixture(scope='module')
+def motion():
+    return moved(tables.SEED)
+
+
+def test_every_table_and_figure_has_a_row():
+    names = [experiment.name for experiment in EXPERIMENTS]
+    assert names == ['6', '7', 'I', 'II', 'III', 'IV', '8', '9', '10', 'alpha']
+
+
+def test_errors_of_a_shift_and_of_the_other_quaternion(motion):
+    off = motion.q.copy()
+    off[:, :3] += [3.0, 4.0, 0.0]
+    off[:, 3:7] *= -1.0  # the same rotation
+    found = Errors.of(motion.body, off, motion.q, motion.positions)
+    # rounding
+    np.testing.assert_allclose(found.means(), [5.0, 0.0, 0.0, 0.0, 5.0], atol=1e-12)
+    np.testing.assert_allclose(found.whole, 5.0 * np.sqrt(NODES), rtol=1e-12)
+
+
+def test_data_are_as_dense_and_as_noisy_as_asked_for(motion):
+    rng = np.random.default_rng(0)
+    assert [len(thinned(rng, d)) for d in tables.DENSITIES.values()] == [123, 92, 62, 31]
+    off = measured(rng, motion.positions, 5.0) - motion.positions
+    assert off.var() == pytest.approx(5.0, rel=0.1)  # of 7380 draws
+    np.testing.assert_array_equal(measured(rng, motion.positions, 0.0), motion.positions)
+
+
+def test_the_bound_goes_with_the_root_of_little_noise(motion):
+    body, seen = model(), np.arange(NODES)
+    small, large = (least_position_error(body, motion.q, seen, v) for v in (1e-8, 4e-8))
+    assert large / small == pytest.approx(2.0, rel=1e-3)  # the prior counts for next to nothing
+    every = [least_position_error(body, motion.q, seen[::k], 1.0) for k in (1, 2, 4)]
+    assert every == sorted(every)
+
+
+def test_longer_steps_fit_the_first_frame_as_those_of_the_paper(motion):
+    body, places = model(), motion.positions[:1]
+    q, ends = first_state(body)[: body.dim_q], []
+    for exact in (True, False):
+        ((belief, _),) = Recipe(exact=exact).frames(body, q, list(places), [np.arange(NODES)])
+        ends.append(np.linalg.norm(body.position(belief.mean) - places[0], axis=1).mean())
+    before = np.linalg.norm(body.position(q) - places[0], axis=1).mean()
+    assert max(ends) < 0.1 * before
+    assert ends[0] == pytest.approx(ends[1], abs=0.01 * before)
+
+
+def test_ours_finds_the_nodes_of_exact_data(motion):
+    body, places = model(), motion.positions[:3]
+    found = Ours(0.0, INTERVAL).frames(
+        body, first_state(body), list(places), [np.arange(NODES)] * len(places)
+    )
+    errors = [np.abs(body.position(b.mean) - p).max() for b, p in zip(found, places, strict=True)]
+    assert errors[-1] < 0.01
+
+
+def test_joints_of_ours_hold():
+    places = insect.flown(1)
+    points = [list(places[0])]
+    parts, states, joints = insect.first_models(points[0])
+    ours = JoinedFilter(tuple(parts), tuple(joints), Ours(insect.SIGMA, INTERVAL))
+    (found,) = ours.frames(states, points)
+    gaps = Joints(parts, joints).violation(np.concatenate(found))
+    assert np.abs(gaps).max() < 1e-6 * 8.4  # of the size of the body
+
+
+def test_a_figure_from_end_to_end(tmp_path):
+    arguments = ['reproduce', 'metaxas1993', '--only', '7', '--quick', '-o', str(tmp_path)]
+    assert main(arguments) == 0
+    (row,) = json.loads((tmp_path / 'table.json').read_text())
+    errors = [row['numbers'][f'ours: position error, frame {k}'] for k in (1, 20)]
+    assert errors[1] < errors[0]
+    assert (tmp_path / 'figure_7.png').exists()
