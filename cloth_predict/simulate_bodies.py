@@ -54,7 +54,7 @@ class Moved:
         given = []
         for part, state, forces in zip(self.bodies.parts, states, self.forces, strict=True):
             position = part.position(state)
-            given.append(sum(force(position, time) for force in forces).ravel())
+            given.append(np.sum([force(position, time) for force in forces], axis=0).ravel())
         changes = self.bodies.split(self.bodies.f(x[:-1], np.concatenate(given)))
         for part, state, change in zip(self.bodies.parts, states, changes, strict=True):
             theta, rate = state[ROTATION], state[part.dim_q :][ROTATION]
@@ -228,7 +228,9 @@ def insect_labels(markers: int) -> tuple[str, ...]:
 
 def insect_at_rest(mesh: ClosedMesh) -> tuple[Articulated, list[FloatArray]]:
     """The joined parts, each with the nodes of `mesh`, and their states where the joints hold."""
-    parts, starts, joints = [], [], []
+    parts: list[Superquadric] = []
+    starts: list[FloatArray] = []
+    joints: list[Joint] = []
     for index, limb in enumerate(INSECT.values()):
         shape = np.array([limb.size, *limb.ratios, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5])
         free = np.isin(PARAMETERS, ('a1', 'a2', 'a3', 't1', 't2', 'b1'))

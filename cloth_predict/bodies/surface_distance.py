@@ -79,4 +79,4 @@ def _on_edge(points: FloatArray, corners: FloatArray, first: int) -> FloatArray:
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.einsum('pi,pi->p', a, b)
+    return np.asarray(np.einsum('pi,pi->p', a, b))
