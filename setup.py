@@ -53,7 +53,7 @@ setup(
         'tqdm>=4.66',
     ],
     extras_require={
-        # What `identify`, `tune` and `compress --optimiser cma` search with; nothing else needs it.
+        # What `identify`, `tune` and `compress --optimiser cma` search with, and nothing else.
         'identify': SEARCHES,
         'video': [VIDEO],
         'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],

@@ -32,8 +32,9 @@ class Blocks:
     def of_body(cls, body: Superquadric, coupling: Coupling, pushed: IntArray = NONE) -> Blocks:
         """Blocks for x = [q; q'; a], a being accelerations (and their rates) of coordinates.
 
-        `pushed` says of which coordinate each of them is. `parts`: translation, rotation and global deformation, each by itself (Metaxas &
-        Terzopoulos 1993, V.C); `pose`: these together. Displacements that stay are in no block.
+        `pushed` says of which coordinate each of them is. `parts`: translation, rotation and
+        global deformation, each by itself (Metaxas & Terzopoulos 1993, V.C); `pose`: these
+        together. Displacements that stay are in no block.
         """
         part = np.zeros(LOCAL, np.int64)
         for k, rows in enumerate((TRANSLATION, ROTATION, GLOBAL)):
