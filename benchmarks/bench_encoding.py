@@ -17,6 +17,7 @@ import matplotlib as mpl
 mpl.use('Agg')
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogLocator
 
 from cloth_predict.config import load
 from cloth_predict.encoding.encode import write_encoded
@@ -73,31 +74,40 @@ def draw_sizes(names, folder):
         ax.plot(BOUNDS, 100 * by_motion / bag, 's--', label="each marker's motion")
         ax.axhline(25, color='grey', lw=0.8)
         ax.set(xscale='log', xlabel='bound (mm)', title=name, ylim=(0, None))
+        ax.xaxis.set_major_formatter('{x:g}')
         ax.set_ylabel('size (% of a zstd bag of the markers)')
         ax.legend(title='expected by', frameon=False)
     figure.tight_layout()
     figure.savefig(folder / 'rate_distortion.png', dpi=110)
 
 
-def draw_between(names, folder):
-    """Draw the error between frames over their rate."""
-    figure, axes = plt.subplots(1, len(names), figsize=(4.5 * len(names), 3.4), squeeze=False)
-    for ax, name in zip(axes[0], names, strict=True):
-        recording, _, config = RECORDINGS[name]
-        config = load(ROOT / 'config' / config)
-        case = case_of(read(recording), config, name)
-        print(f'{name}: RMS error of the free nodes at the frames that are withheld, mm')
-        found = []
-        for every in EVERY:
-            found.append(errors_between(case.markers, case.reference.markers, config, every))
-            ratio = found[-1]['model'] / found[-1]['cubic']
-            told = '  '.join(f'{method} {1e3 * error:.3f}' for method, error in found[-1].items())
-            print(f'  {100 / every:5g} Hz  {told}  model / cubic {ratio:.2f}', flush=True)
-        for method in found[0]:
-            ax.plot([100 / n for n in EVERY], [1e3 * f[method] for f in found], 'o-', label=method)
+def measure_between(name):
+    """RMS error [m] between the frames of a recording by method, for each of `EVERY`."""
+    recording, _, config = RECORDINGS[name]
+    config = load(ROOT / 'config' / config)
+    case = case_of(read(recording), config, name)
+    print(f'{name}: RMS error of the free nodes at the frames that are withheld, mm')
+    found = []
+    for every in EVERY:
+        found.append(errors_between(case.markers, case.reference.markers, config, every))
+        ratio = found[-1]['model'] / found[-1]['cubic']
+        told = '  '.join(f'{method} {1e3 * error:.3f}' for method, error in found[-1].items())
+        print(f'  {100 / every:5g} Hz  {told}  model / cubic {ratio:.2f}', flush=True)
+    return found
+
+
+def draw_between(found, folder):
+    """Draw the error between frames over their rate, for each recording."""
+    figure, axes = plt.subplots(1, len(found), figsize=(4.5 * len(found), 3.4), squeeze=False)
+    rates = [100 / every for every in EVERY]
+    for ax, (name, errors) in zip(axes[0], found.items(), strict=True):
+        for method in errors[0]:
+            ax.plot(rates, [1e3 * error[method] for error in errors], 'o-', label=method)
         ax.set(xscale='log', yscale='log', xlabel='frames given (Hz)', title=name)
         ax.set_ylabel('RMS error between them (mm)')
-        ax.set_xticks([100 / n for n in EVERY], [f'{100 / n:g}' for n in EVERY])
+        ax.set_xticks(rates, [f'{rate:g}' for rate in rates])
+        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        ax.yaxis.set_major_formatter('{x:g}')
         ax.minorticks_off()
         ax.legend(frameon=False)
     figure.tight_layout()
@@ -112,7 +122,7 @@ def main():
     folder.mkdir(parents=True, exist_ok=True)
     names = [name for name, (recording, *_) in RECORDINGS.items() if recording.exists()]
     with one_core():
-        draw_between(names, folder)
+        draw_between({name: measure_between(name) for name in names}, folder)
         draw_sizes(names, folder)
 
 

