@@ -509,12 +509,12 @@ def test_the_beginning_of_the_shipped_recording_by_the_command(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     bag, config, out = tmp_path / 'bag', ROOT / 'config/towel.yaml', tmp_path / 'out'
-    write_recording(bag, beginning(251))
+    write_recording(bag, beginning(361))  # intervals need 2.5 s after the warm-up
     arguments = ['project', bag, '-c', config, '--json', '-o', out]
     assert cli.main([str(argument) for argument in arguments]) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told['methods']) == set(METHODS)
-    assert (told['fps'], told['delay_s'], told['frames']) == (60.0, 0.05, 90)
+    assert (told['fps'], told['delay_s'], told['frames']) == (60.0, 0.05, 156)
     assert told['age_s'] == pytest.approx(0.0533, abs=1e-4)  # the markers come every 10 ms
     assert (told['predicted'], told['in_view']) == (1.0, 1.0)
     p95 = {name: told['methods'][name]['p95_mm'] for name in METHODS}
