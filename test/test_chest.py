@@ -16,6 +16,7 @@ FOUND_ON = 1154
 """Frames: the first half of the recording, on which the parameters were found."""
 
 
+@pytest.mark.parametrize('name', ['chest', 'chest_body'])
 @pytest.mark.parametrize(
     ('how', 'most'),
     # of the error of the better kinematic filter, at the noise that serves it best on these very
@@ -23,14 +24,14 @@ FOUND_ON = 1154
     [(Degradation(), 1.0), (Degradation(drop=0.3, burst=0.3), 0.85)],
     ids=['all markers', 'bursts'],
 )
-def test_neighbours_tell_of_hidden_markers(real, how, most):
+def test_neighbours_tell_of_hidden_markers(real, name, how, most):
     positions = np.load(real('chest/chest.npz'))['X'][FOUND_ON : FOUND_ON + 450]
     stamps = np.arange(len(positions)) * 10**7  # 100 Hz
     labels = tuple(f'm{k}' for k in range(30))
-    config = load(ROOT / 'config' / 'chest.yaml')
+    config = load(ROOT / 'config' / f'{name}.yaml')
     seen = np.ones(positions.shape[:2], bool)
     markers = MarkerSequence(stamps, labels, positions, seen, config.frame)
     case = degraded(labelled_case(markers, config, 'chest', None), how)
     (found,) = compare(case, config, [config.horizon], search=True)
-    assert found.ratios['ekf'].ratio < most
-    assert 0.85 < found.details['ekf'].coverage[1] < 0.99  # of 2 sigma
+    assert found.ratios[config.filter.kind].ratio < most
+    assert 0.85 < found.details[config.filter.kind].coverage[1] < 0.99  # of 2 sigma

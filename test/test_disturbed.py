@@ -162,7 +162,7 @@ def test_smooth_force_jacobian_equals_central_differences(smooth):
     np.testing.assert_allclose(expected[60:90, 90:], np.eye(30), atol=1e-8)  # F' is the rate
 
 
-@pytest.mark.parametrize('name', sorted(INTEGRATORS))
+@pytest.mark.parametrize('name', ['euler', 'rk4', 'implicit_euler'])  # any model will do for them
 def test_smooth_force_step_jacobian_equals_central_differences(smooth, name):
     model, x, u = smooth
     method = INTEGRATORS[name]

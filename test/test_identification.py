@@ -166,7 +166,7 @@ def test_the_start_is_the_configuration_off_its_limits():
     ('name', 'message'),
     [
         ('model.stiffnes', 'model.stiffnes: unknown parameter'),
-        ('horizon', 'horizon: unknown parameter'),
+        ('horizon', 'horizon: has no say in how well the filter does'),
         ('model.rows', 'model.rows: is not a number that can be searched'),
         ('model.gravity', 'model.gravity: has no lower limit'),
         ('model.stiffness_shear', 'model.stiffness_shear: is 0; a search needs a first value'),
