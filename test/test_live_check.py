@@ -90,7 +90,7 @@ def free_nodes(config: Config) -> BoolArray:
 
 
 def test_equal_to_the_evaluation(towel: MarkerSequence) -> None:
-    config = load(ROOT / 'config' / 'towel.yaml')
+    config = load(ROOT / 'config' / 'towel_coarse.yaml')  # any filter will do
     horizons = [0.1, 0.037, 0.0]  # on a frame, between two frames, and at the frame itself
     reports = watched(towel, config, horizons).report()
     methods = {name: METHODS[name] for name in ('hold', 'ekf')}
