@@ -44,7 +44,7 @@ class Effort:
     large: int
 
 
-FULL, QUICK = Effort(10.0, 3000, 400), Effort(5.0, 160, 40)
+FULL, QUICK = Effort(10.0, 3000, 400), Effort(5.0, 100, 40)
 Found = dict[str, Compression]
 """By recipe and ours."""
 

@@ -58,7 +58,7 @@ def run(scope: Scope) -> Row:
     """Let the sheet of 21 x 21 nodes fall for 10 s in each way."""
     cloth, nodes = sheet(21, 0.025)
     x, u = at_rest(cloth, nodes)
-    equal = 4.0 if scope.quick else 10.0
+    equal = 2.0 if scope.quick else 10.0
     explicit = RungeKutta(RK4)
 
     def fall(step: Step, dt: float, duration: float, share: float) -> FloatArray:
