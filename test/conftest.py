@@ -13,6 +13,9 @@ import pytest
 
 from cloth_predict.performance import one_core
 
+# read when OpenCV is imported, which some tests do before the package does
+os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
+
 DATA = Path(os.environ.get('CLOTH_PREDICT_DATA', Path(__file__).parents[2] / 'shared' / 'data'))
 
 

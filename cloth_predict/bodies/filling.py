@@ -41,7 +41,9 @@ class Filling:
         unseen = np.setdiff1d(np.arange(body.nodes), seen)
         springs = body.membrane.matrix().toarray()
         across = springs[np.ix_(unseen, seen)]
-        inverse = cho_solve(cho_factor(springs[np.ix_(unseen, unseen)]), np.eye(len(unseen)))
+        inverse = np.zeros((len(unseen), len(unseen)))
+        if len(unseen):  # LAPACK takes no empty matrix in older scipy
+            inverse = cho_solve(cho_factor(springs[np.ix_(unseen, unseen)]), np.eye(len(unseen)))
         weight = -inverse @ across
         held = springs[np.ix_(seen, seen)] + across.T @ weight
         return cls(body.dim_q, seen, unseen, weight, np.diag(inverse), held)

@@ -64,7 +64,7 @@ def global_fit(begin: FloatArray, free: BoolArray, points: FloatArray) -> Global
         told = np.column_stack([size * slopes[:, moving], off]) / (OFF * scale)
         weak = np.column_stack([np.eye(len(size)), (begin - shared)[moving] / size])
         rows = np.vstack([told, weak / SPREAD[moving][:, None]])
-        step = np.linalg.lstsq(rows[:, :-1], rows[:, -1])[0]
+        step = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
         step *= min(1.0, LONGEST / np.abs(step).max())
         shared = shared.copy()
         shared[moving] += size * step

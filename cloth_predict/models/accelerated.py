@@ -99,5 +99,5 @@ class Accelerated:
         places = self.body.dim_q + self.coordinates, np.arange(number)
         shape = self.body.dim_x, len(self.pushed)
         gain = sparse.csr_array((np.ones(number), places), shape=shape)
-        drift = sparse.kron(self.process.drift, sparse.eye_array(number))
-        return sparse.block_array([[jac, gain], [None, drift]], format='csr')
+        drift = sparse.kron(self.process.drift, sparse.csr_array(sparse.eye(number)))
+        return sparse.csr_array(sparse.bmat([[jac, gain], [None, drift]]))

@@ -126,7 +126,7 @@ class Articulated:
         slopes = self._stacked([part.jac(*at) for part, *at in self._each(x, u)])
         turned = self.joints.pulled_back_slope(x[: self.dim_q], motion.force)
         turned.resize((self.dim_q, self.dim_x))
-        free = slopes[self.dim_q :] + sparse.diags_array(self.inverse_mass) @ turned
+        free = slopes[self.dim_q :] + sparse.csr_array(sparse.diags(self.inverse_mass)) @ turned
         held = motion.linkage.held(free, self._steady_slope(x, motion))
         return sparse.vstack([slopes[: self.dim_q], held], format='csr')
 

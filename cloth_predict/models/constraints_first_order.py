@@ -58,7 +58,9 @@ class ArticulatedFirstOrder:
         """Derivative of f by the coordinates, with that of the joints' forces."""
         free, linkage, force = self._motion(x, u)
         slopes = sparse.block_diag([part.jac(*at) for part, *at in self._each(x, u)])
-        turned = sparse.diags_array(self.mobility) @ self.joints.pulled_back_slope(x, force)
+        turned = sparse.csr_array(sparse.diags(self.mobility)) @ self.joints.pulled_back_slope(
+            x, force
+        )
         steady = self.joints.velocity_slope(x, free + linkage.moved(force))
         return linkage.held(slopes + turned, steady + self.alpha * linkage.rows)
 

@@ -41,11 +41,13 @@ class FirstOrder:
     def jac(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f by the coordinates."""
         slope = self.body.kinematics.pulled_back_slope(x, u.reshape(-1, 3)) - self.body.stiffness
-        return (sparse.diags_array(self.mobility) @ slope).tocsr()
+        return (sparse.csr_array(sparse.diags(self.mobility)) @ slope).tocsr()
 
     def jac_input(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f by the forces, D^-1 L'."""
-        return (sparse.diags_array(self.mobility) @ self.body.kinematics.jacobian(x).T).tocsr()
+        return (
+            sparse.csr_array(sparse.diags(self.mobility)) @ self.body.kinematics.jacobian(x).T
+        ).tocsr()
 
     def input_after(self, u: FloatArray, dt: float) -> FloatArray:
         """Forces are held."""

@@ -166,6 +166,8 @@ class Linkage:
     def solve(self) -> Solver:
         """Solver of N = C_q M^-1 C_q' (eq. 33); ConfigError where N is singular."""
         matrix = (self.rows * self.mobility) @ self.rows.T
+        if not len(matrix):
+            return np.array  # no joints, no forces; LAPACK takes no empty matrix in older scipy
         try:
             factor = linalg.cholesky(matrix, lower=True)
         except linalg.LinAlgError:

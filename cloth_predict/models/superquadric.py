@@ -185,15 +185,16 @@ class Superquadric:
             slopes = self.kinematics.transport_slopes(q, rate)
             by_q, by_rate = by_q + weighted @ slopes[0], weighted @ slopes[1]
         still = sparse.csr_array((self.dim_q, self.dim_x))
-        scale = sparse.diags_array(self.inverse_mass)
-        moving = sparse.diags_array(self.moving.astype(float))
+        scale = sparse.csr_array(sparse.diags(self.inverse_mass))
+        moving = sparse.csr_array(sparse.diags(self.moving.astype(float)))
         lower = scale @ sparse.hstack([by_q, by_rate @ moving])
         return (self._linear_jac + sparse.vstack([still, lower])).tocsr()
 
     def jac_input(self, x: FloatArray, u: FloatArray) -> sparse.csr_array:
         """Derivative of f by the forces, M^-1 L' in the lower half."""
         shares = (
-            sparse.diags_array(self.inverse_mass) @ self.kinematics.jacobian(x[: self.dim_q]).T
+            sparse.csr_array(sparse.diags(self.inverse_mass))
+            @ self.kinematics.jacobian(x[: self.dim_q]).T
         )
         return sparse.vstack([sparse.csr_array(shares.shape), shares], format='csr')
 
@@ -239,15 +240,15 @@ class Superquadric:
     @cached_property
     def stiffness(self) -> sparse.csr_array:
         """K [N/m], shape (dim_q, dim_q), which acts on the displacements alone."""
-        local = sparse.kron(self.membrane.matrix(), sparse.eye_array(3))
+        local = sparse.kron(self.membrane.matrix(), sparse.csr_array(sparse.eye(3)))
         return sparse.block_diag([sparse.csr_array((LOCAL, LOCAL)), local], format='csr')
 
     @cached_property
     def _linear_jac(self) -> sparse.csr_array:
-        springs = sparse.diags_array(self.inverse_mass) @ self.stiffness
+        springs = sparse.csr_array(sparse.diags(self.inverse_mass)) @ self.stiffness
         pull = np.zeros(self.dim_q)
         pull[ROTATION] = PULL
-        moving = sparse.diags_array(self.moving.astype(float))
+        moving = sparse.csr_array(sparse.diags(self.moving.astype(float)))
         slowing = self.alpha * moving + self.beta * springs @ moving
-        rows = [[None, moving], [-springs - sparse.diags_array(pull), -slowing]]
-        return sparse.block_array(rows, format='csr')
+        rows = [[None, moving], [-springs - sparse.csr_array(sparse.diags(pull)), -slowing]]
+        return sparse.csr_array(sparse.bmat(rows))

@@ -106,7 +106,7 @@ class Kinematics:
             both[GLOBAL, LOCAL - len(q_s) + m] = np.einsum('nbm,nb->m', bent, local)
         across = np.zeros((LOCAL, 3 * self.nodes))
         across[ROTATION] = by_theta.reshape(-1, 4).T
-        return sparse.block_array([[both, across], [across.T, None]], format='csr')
+        return sparse.csr_array(sparse.bmat([[both, across], [across.T, None]]))
 
     def transport_slopes(
         self, q: FloatArray, rate: FloatArray

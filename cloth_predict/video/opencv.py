@@ -6,7 +6,8 @@ import os
 
 from cloth_predict.errors import ClothPredictError
 
-# read when a video is opened: what cannot be decoded is told by this package, in one line
+# read when it is imported: what cannot be decoded is told by this package, in one line
+os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
 os.environ.setdefault('OPENCV_FFMPEG_LOGLEVEL', '-8')
 try:
     import cv2
@@ -14,8 +15,5 @@ except ImportError:
     raise ClothPredictError(
         "videos need OpenCV: install it with pip install 'cloth_predict[video]'"
     ) from None
-
-if 'OPENCV_LOG_LEVEL' not in os.environ:
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 __all__ = ['cv2']
