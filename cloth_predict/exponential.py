@@ -9,11 +9,11 @@ import numpy as np
 from scipy import sparse
 
 from cloth_predict.models.linear_part import LinearPart, Semilinear, Which
-from cloth_predict.types import Dynamics, FloatArray
+from cloth_predict.types import Dynamics, FloatArray, Integrator, Tangent
 
 
 @dataclass(frozen=True)
-class Exponential:
+class Exponential(Integrator):
     """ETD2RK of x' = A x + n(x, u) (Cox & Matthews 2002, eq. 20 and 22).
 
     With z = dt A: a = e^z x + dt phi1(z) n(x), and x becomes a + dt phi2(z) (n(a) - n(x)). Needs a
@@ -25,13 +25,6 @@ class Exponential:
     def step(self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float) -> FloatArray:
         """State after dt [s], shape (dim_x,)."""
         return self._stages(model, x, u, dt)[1]
-
-    def step_jac(
-        self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """State after dt [s] and its derivative."""
-        after, tangent = self.step_tangent(model, x, u, dt)
-        return after, tangent.push(np.eye(model.dim_x))
 
     def step_tangent(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
@@ -50,7 +43,7 @@ class Exponential:
         return first, first + part.apply('twice', dt, (later - rest) / dt)
 
 
-class ExponentialTangent:
+class ExponentialTangent(Tangent):
     """Derivative of the step between these stages; see `types.Tangent`."""
 
     def __init__(
@@ -83,10 +76,6 @@ class ExponentialTangent:
         first = weights + self._slopes[1].T @ later
         begin = self._slopes[0].T @ (self._of('once', first, back=True) - later)
         return np.asarray((self._of('exp', first, back=True) + begin).T)
-
-    def sandwich(self, cov: FloatArray) -> FloatArray:
-        """Return F P F' of a symmetric P."""
-        return self.push(self.push(cov).T)
 
     def drive(self, inputs: FloatArray) -> FloatArray:
         """Change of the state after the step with its inputs, which are linear in time."""

@@ -121,7 +121,7 @@ def _combine(weights: tuple[float, ...], terms: list[FloatArray]) -> FloatArray 
 
 
 @dataclass(frozen=True)
-class ImplicitEuler:
+class ImplicitEuler(Integrator):
     """Linearised backward Euler: (I - dt J) dx = dt f(x) (Gomes 2016, eq. 3.32 in state form).
 
     Where the input moves in the step, dt df/du u' joins f, so that a surface carried along with
@@ -137,13 +137,6 @@ class ImplicitEuler:
         """State after dt [s], shape (dim_x,)."""
         at = cast('StiffDynamics', model).linearise(x, u)
         return x + at.change(dt, at.solver(dt))
-
-    def step_jac(
-        self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """State after dt [s] and its derivative."""
-        after, tangent = self.step_tangent(model, x, u, dt)
-        return after, tangent.push(np.eye(model.dim_x))
 
     def step_tangent(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float

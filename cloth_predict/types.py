@@ -217,7 +217,8 @@ class Tangent(Protocol):
         """Return W F, both of shape (m, dim_x)."""
 
     def sandwich(self, cov: FloatArray) -> FloatArray:
-        """Return F P F' of a symmetric P, shape (dim_x, dim_x)."""
+        """Return F P F' of a symmetric P, shape (dim_x, dim_x); here by pushing it twice."""
+        return self.push(self.push(cov).T)
 
     def drive(self, inputs: FloatArray) -> FloatArray:
         """Change of the state after the step, (dim_x, m), with its inputs, shape (dim_u, m)."""
@@ -232,7 +233,12 @@ class Integrator(Protocol):
     def step_jac(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
     ) -> tuple[FloatArray, FloatArray]:
-        """State after dt [s] and its derivative F with respect to x, shape (dim_x, dim_x)."""
+        """State after dt [s] and its derivative F with respect to x, shape (dim_x, dim_x).
+
+        Here it is the matrix of the map.
+        """
+        after, tangent = self.step_tangent(model, x, u, dt)
+        return after, tangent.push(np.eye(model.dim_x))
 
     def step_tangent(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
@@ -280,5 +286,9 @@ class Filter(Protocol[B]):
     ) -> tuple[FloatArray, FloatArray]:
         """Mean, shape (dim_x,), after one step of dt [s] per input, and covariances, (k, m, m).
 
-        The covariances are those of k groups of m states each, rows of shape (k, m).
+        The covariances are those of k groups of m states each, rows of shape (k, m). Here by
+        `predict`, step by step: for filters without a shorter way.
         """
+        for u in inputs:
+            belief = self.predict(belief, model, u, q, dt)
+        return belief.mean, belief.marginals(rows)

@@ -8,13 +8,11 @@ then dropped. Of all beliefs without them that is the nearest one (Kullback & Le
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cloth_predict.exponential import ExponentialTangent
-from cloth_predict.filters.ahead import run_ahead
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
 from cloth_predict.filters.linear import of_groups, symmetric
 from cloth_predict.filters.node_update import Seen, updated
@@ -23,10 +21,10 @@ from cloth_predict.observations import NodePositions
 from cloth_predict.types import (
     Belief,
     Dynamics,
+    Filter,
     FloatArray,
     Gaussian,
     Innovation,
-    IntArray,
     Integrator,
     Observation,
     Tangent,
@@ -34,7 +32,7 @@ from cloth_predict.types import (
 
 
 @dataclass(frozen=True)
-class Decoupled:
+class Decoupled(Filter[BlockGaussian]):
     """The filter on these blocks.
 
     iterations: linearisations of an update, each at what the last one found (Gauss-Newton); more
@@ -67,18 +65,6 @@ class Decoupled:
         else:
             after = _by_matrix(self.blocks, tangent, *wider)
         return self.blocks.belief(mean, after[0] + shared, after[1] + own)
-
-    def forecast(
-        self,
-        belief: BlockGaussian,
-        model: Dynamics,
-        inputs: Sequence[FloatArray],
-        q: FloatArray,
-        dt: float,
-        rows: IntArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Mean, shape (dim_x,), and covariances of `rows` after one step of dt [s] per input."""
-        return run_ahead(self, belief, model, inputs, q, dt, rows)
 
     def update(
         self, belief: BlockGaussian, obs: Observation, z: FloatArray

@@ -6,20 +6,26 @@ covariance loses symmetry. On springs as stiff as a cloth's it diverges within f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from cloth_predict.filters.ahead import run_ahead
-from cloth_predict.types import Dynamics, FloatArray, Gaussian, Innovation, IntArray, Observation
+from cloth_predict.types import (
+    Dynamics,
+    Filter,
+    FloatArray,
+    Gaussian,
+    Innovation,
+    IntArray,
+    Observation,
+)
 
 FARTHEST = 1e12
 """State [SI] from which on the recursion counts as lost, while its squares are still finite."""
 
 
 @dataclass(frozen=True)
-class Gomes2016:
+class Gomes2016(Filter[Gaussian]):
     """EKF as the thesis prints it (eq. 6.1-6.11).
 
     The thesis gives Q = alpha I and R = beta I. The process noise here is a density of each state:
@@ -62,18 +68,6 @@ class Gomes2016:
         except np.linalg.LinAlgError:
             raise FloatingPointError('the innovation covariance has no inverse') from None
         return _finite(mean, cov), Innovation(y, S, nis)
-
-    def forecast(
-        self,
-        belief: Gaussian,
-        model: Dynamics,
-        inputs: Sequence[FloatArray],
-        q: FloatArray,
-        dt: float,
-        rows: IntArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariances of `rows` after one step of dt [s] per input, each by `predict`."""
-        return run_ahead(self, belief, model, inputs, q, dt, rows)
 
 
 def _matrix(jac: FloatArray | IntArray, size: int) -> FloatArray:

@@ -7,19 +7,18 @@ the node's variance that the modes cannot hold. Without modes it is `fixed_gain`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import eigh, qr
 
-from cloth_predict.filters.ahead import run_ahead
 from cloth_predict.filters.fixed_gain import NodeMotion, node_marginals, whole_nodes
 from cloth_predict.filters.linear import condition, of_groups, symmetric
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.types import (
     Dynamics,
+    Filter,
     FloatArray,
     Gaussian,
     Innovation,
@@ -115,7 +114,7 @@ class ModalBelief:
 
 
 @dataclass(frozen=True)
-class ReducedRank:
+class ReducedRank(Filter[ModalBelief]):
     """The filter on these modes."""
 
     integrator: Integrator
@@ -143,18 +142,6 @@ class ReducedRank:
         cov = symmetric(step @ (belief.cov + half) @ step.T) + half
         rest = motion.per_node(q) * modes.unresolved[:, None]
         return ModalBelief(mean, cov, motion.ahead(belief.local, rest, dt, 1), modes, motion)
-
-    def forecast(
-        self,
-        belief: ModalBelief,
-        model: Dynamics,
-        inputs: Sequence[FloatArray],
-        q: FloatArray,
-        dt: float,
-        rows: IntArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Mean, shape (dim_x,), and covariances of `rows` after one step of dt [s] per input."""
-        return run_ahead(self, belief, model, inputs, q, dt, rows)
 
     def update(
         self, belief: ModalBelief, obs: Observation, z: FloatArray

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints
 
-from cloth_predict.filters.ahead import run_ahead
 from cloth_predict.filters.linear import condition, root, spread, symmetric
 from cloth_predict.types import (
     Dynamics,
+    Filter,
     FloatArray,
     Gaussian,
     Innovation,
-    IntArray,
     Integrator,
     Observation,
 )
 
 
 @dataclass(frozen=True)
-class SigmaPointFilter:
+class SigmaPointFilter(Filter[Gaussian]):
     """Kalman filter on 2 n + 1 sigma points, n = dim_x (Julier & Uhlmann 1997).
 
     The points are the mean x and x +- alpha sqrt(n) times the columns of the root L of P = L L'
@@ -87,18 +85,6 @@ class SigmaPointFilter:
     ) -> tuple[Gaussian, Innovation]:
         """Belief given z: exact, as a measurement that is linear in the state needs no points."""
         return condition(belief, obs.jac(belief.mean), obs.cov, z - obs.h(belief.mean))
-
-    def forecast(
-        self,
-        belief: Gaussian,
-        model: Dynamics,
-        inputs: Sequence[FloatArray],
-        q: FloatArray,
-        dt: float,
-        rows: IntArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariances of `rows` after one step of dt [s] per input, each by `predict`."""
-        return run_ahead(self, belief, model, inputs, q, dt, rows)
 
 
 def moments(

@@ -126,7 +126,7 @@ class WithParameters:
 
 
 @dataclass(frozen=True)
-class Parametrised:
+class Parametrised(Integrator):
     """Steps a `WithParameters` by the steps of its model, which keeps its parameters meanwhile.
 
     So any model goes with its own integrator. The derivative by the state is that of the inner
@@ -141,13 +141,6 @@ class Parametrised:
         after[..., joint.own] = self.inner.step(joint.model_at(x), x[..., joint.own], u, dt)
         return after
 
-    def step_jac(
-        self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """State after dt [s] and its derivative."""
-        after, tangent = self.step_tangent(model, x, u, dt)
-        return after, tangent.push(np.eye(model.dim_x))
-
     def step_tangent(
         self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
     ) -> tuple[FloatArray, JointTangent]:
@@ -160,7 +153,7 @@ class Parametrised:
 
 
 @dataclass(frozen=True)
-class JointTangent:
+class JointTangent(Tangent):
     """Derivative of a step: that of the model's own, and gain, (dim_x of it, n), by parameters."""
 
     model: WithParameters
@@ -180,10 +173,6 @@ class JointTangent:
         before[:, self.model.own] = self.inner.pull(own)
         before[:, self.model.at] += own @ self.gain
         return before
-
-    def sandwich(self, cov: FloatArray) -> FloatArray:
-        """Return F P F'."""
-        return self.push(self.push(cov).T)
 
     def drive(self, inputs: FloatArray) -> FloatArray:
         """Change of the state after the step with its inputs; the parameters have none."""
