@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import solve
 
 from cloth_predict.models.superquadric import GLOBAL, Superquadric
+from cloth_predict.models.superquadric_kinematics import within_ranges
 from cloth_predict.models.superquadric_shape import HIGH, LOW
 from cloth_predict.observations import NodePositions
 from cloth_predict.types import FloatArray, IntArray
@@ -62,7 +63,7 @@ def fit(
     moves by more than the tolerance [m] in the longest step, and no point changes its node.
     """
     found = attach if callable(attach) else (lambda _: attach)
-    q = body.admissible(np.append(q[: body.dim_q], np.zeros(body.dim_q)))[: body.dim_q]
+    q = within_ranges(q[: body.dim_q])
     pull, dt, taken = Pull(body, found(body.position(q)), points, sigma), SETTLING * sigma**2, 0
     rounding = 0.5 * len(points) * (tolerance / sigma) ** 2
     for steps in range(1, most + 1):
@@ -120,6 +121,6 @@ class Pull:
         longest = LONGEST / float(np.max(np.diag(stiffness), initial=0.0))
         dt = min(dt, longest)
         stiffness.flat[:: len(rows) + 1] += 1.0 / dt
-        after = np.append(q, np.zeros(len(q)))
+        after = q.copy()
         after[rows] += solve(stiffness, force[rows], assume_a='pos')
-        return self.body.admissible(after)[: len(q)], longest
+        return within_ranges(after), longest

@@ -13,8 +13,12 @@ import numpy as np
 from cloth_predict.bodies.association import unit
 from cloth_predict.bodies.surface_distance import nearest_on_surface
 from cloth_predict.models.closed_mesh import ClosedMesh, coordinates_of
-from cloth_predict.models.superquadric_kinematics import GLOBAL, LOCAL, ROTATION, Kinematics
-from cloth_predict.models.superquadric_shape import HIGH, LOW
+from cloth_predict.models.superquadric_kinematics import (
+    GLOBAL,
+    LOCAL,
+    Kinematics,
+    within_ranges,
+)
 from cloth_predict.surface.topology import NO_TRIANGLES
 from cloth_predict.types import BoolArray, FloatArray
 
@@ -68,8 +72,7 @@ def global_fit(begin: FloatArray, free: BoolArray, points: FloatArray) -> Global
         step *= min(1.0, LONGEST / np.abs(step).max())
         shared = shared.copy()
         shared[moving] += size * step
-        shared[ROTATION] /= np.linalg.norm(shared[ROTATION])
-        shared[GLOBAL] = np.clip(shared[GLOBAL], LOW, HIGH)
+        shared = within_ranges(shared)
         before, position = position, _position(surface, shared)
         if np.abs(position - before).max() < STILL * scale:
             break

@@ -40,13 +40,12 @@ class Motion:
 
 
 def aligned(places: FloatArray, points: FloatArray) -> Motion:
-    """The motion that lays places onto points, pair by pair [m], both (k, 3) (Kabsch 1976).
+    """The motion that lays places onto points, pair by pair [m], both (k, 3).
 
     Of points on a line, which do not tell it, any of those that fit best.
     """
     middle, target = places.mean(axis=0), points.mean(axis=0)
-    left, _, right = np.linalg.svd((points - target).T @ (places - middle))
-    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    turn = rotation.nearest((points - target).T @ (places - middle))
     found = Motion(turn, target - turn @ middle, np.inf)
     off = np.sum((found.apply(places) - points) ** 2, axis=1)
     return replace(found, rms=float(np.sqrt(off.mean())))

@@ -36,21 +36,21 @@ class Blocks:
         global deformation, each by itself (Metaxas & Terzopoulos 1993, V.C); `pose`: these
         together. Displacements that stay are in no block.
         """
-        part = np.zeros(LOCAL, np.int64)
-        for k, rows in enumerate((TRANSLATION, ROTATION, GLOBAL)):
-            part[rows] = k if coupling == 'parts' else 0
+        part = _parts() if coupling == 'parts' else np.zeros(LOCAL, np.int64)
         groups = np.arange(LOCAL), body.dim_q + np.arange(LOCAL)
         shared = np.concatenate([*groups, body.dim_x + np.arange(len(pushed))])
         part = np.concatenate([part, part, part[pushed]])
         coupled = part[:, None] == part
-        displacement = LOCAL + np.arange(3 * body.nodes).reshape(-1, 3)
+        displacement = _displacements(body)
         own = np.hstack([displacement, body.dim_q + displacement])
-        return cls(
-            body.dim_x + len(pushed),
-            shared,
-            coupled,
-            own[: body.nodes if body.moving[LOCAL:].any() else 0],
-        )
+        return cls(body.dim_x + len(pushed), shared, coupled, own)
+
+    @classmethod
+    def of_coordinates(cls, body: Superquadric) -> Blocks:
+        """Blocks for x = q, of a motion without inertia, as `parts` has them."""
+        part = _parts()
+        coupled = part[:, None] == part
+        return cls(body.dim_q, np.arange(LOCAL), coupled, _displacements(body))
 
     @classmethod
     def whole(cls, dim_x: int) -> Blocks:
@@ -88,6 +88,20 @@ class Blocks:
         place[self.own] = np.arange(width)
         start[self.own] = size**2 + width * np.arange(self.own.size).reshape(self.own.shape)
         return block, start, place
+
+
+def _parts() -> IntArray:
+    """To which of translation, rotation and global deformation a coordinate belongs, (18,)."""
+    part = np.empty(LOCAL, np.int64)
+    for k, rows in enumerate((TRANSLATION, ROTATION, GLOBAL)):
+        part[rows] = k
+    return part
+
+
+def _displacements(body: Superquadric) -> IntArray:
+    """Where each node's displacement is in q, shape (nodes, 3); none where they stay."""
+    nodes = body.nodes if body.moving[LOCAL:].any() else 0
+    return LOCAL + np.arange(3 * nodes).reshape(-1, 3)
 
 
 @dataclass(frozen=True)

@@ -70,6 +70,12 @@ def rate_map(theta: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.array([[-a, s, -c, b], [-b, c, s, -a], [-c, -b, a, s]]))
 
 
+def nearest(matrix: FloatArray) -> FloatArray:
+    """The rotation nearest to a matrix, both (3, 3), by the sum of squares (Kabsch 1976)."""
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
 def from_matrix(rotation: FloatArray) -> FloatArray:
     """The unit quaternion (s, v), s >= 0, of a rotation matrix, shape (4,)."""
     x, y, z, s = Rotation.from_matrix(rotation).as_quat(canonical=True)

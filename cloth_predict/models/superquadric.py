@@ -19,6 +19,7 @@ from cloth_predict.models.superquadric_kinematics import (
     ROTATION,
     TRANSLATION,
     Kinematics,
+    within_ranges,
 )
 from cloth_predict.types import BoolArray, FloatArray, IntArray
 
@@ -113,15 +114,12 @@ class Superquadric:
 
         A parameter that is put back to an end of its range does not go on beyond it.
         """
-        q, rate = x[: self.dim_q].copy(), x[self.dim_q :].copy()
-        length = np.linalg.norm(q[ROTATION])
-        q[ROTATION] /= length
+        before, rate = x[: self.dim_q], x[self.dim_q :].copy()
+        q = within_ranges(before)
         rate[ROTATION] -= q[ROTATION] * (q[ROTATION] @ rate[ROTATION])
-        rate[ROTATION] /= length
-        inside = np.clip(q[GLOBAL], superquadric_shape.LOW, superquadric_shape.HIGH)
-        outward = (q[GLOBAL] - inside) * rate[GLOBAL] > 0.0
+        rate[ROTATION] /= np.linalg.norm(before[ROTATION])
+        outward = (before[GLOBAL] - q[GLOBAL]) * rate[GLOBAL] > 0.0
         rate[GLOBAL][outward] = 0.0
-        q[GLOBAL] = inside
         return np.concatenate([q, rate])
 
     def position(self, x: FloatArray, nodes: IntArray | None = None) -> FloatArray:

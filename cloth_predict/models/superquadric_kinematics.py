@@ -19,6 +19,17 @@ COMPLEX_STEP = 1e-30
 """Imaginary change whose square vanishes: derivatives are exact but for rounding."""
 
 
+def within_ranges(q: FloatArray) -> FloatArray:
+    """Coordinates q, (dim_q,), or the 18 that all nodes share, put back to where they may be.
+
+    That is a unit quaternion, which moves nothing, and parameters in their ranges.
+    """
+    q = q.copy()
+    q[ROTATION] /= np.linalg.norm(q[ROTATION])
+    q[GLOBAL] = np.clip(q[GLOBAL], superquadric_shape.LOW, superquadric_shape.HIGH)
+    return q
+
+
 class Kinematics:
     """The nodes of a mesh as functions of q = (c 3, theta 4, q_s 11, q_d 3N).
 

@@ -9,6 +9,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from cloth_predict.config import Config, ModelConfig
+from cloth_predict.models import rotation
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import mesh_springs
@@ -163,9 +164,7 @@ def aligned(shape: FloatArray, positions: FloatArray, visible: BoolArray) -> Flo
     covariance = (to - to_mean).T @ (from_ - from_mean)
     # far below what any two nodes contribute, so that it decides only what they leave open
     covariance += 1e-6 * (np.linalg.norm(covariance) + 1e-12) * np.eye(3)
-    u, _, vt = np.linalg.svd(covariance)
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return np.asarray((shape - from_mean) @ turn.T + to_mean)
+    return np.asarray((shape - from_mean) @ rotation.nearest(covariance).T + to_mean)
 
 
 def on_mesh(

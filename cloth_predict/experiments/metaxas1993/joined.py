@@ -14,7 +14,6 @@ from cloth_predict.experiments.metaxas1993.recipe import (
     MOST,
     STEP,
     Recipe,
-    admissible,
     nearest,
 )
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
@@ -24,6 +23,7 @@ from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.models.constraints import Articulated
 from cloth_predict.models.joints import Joint, Joints
 from cloth_predict.models.superquadric import GLOBAL, Superquadric
+from cloth_predict.models.superquadric_kinematics import within_ranges
 from cloth_predict.models.superquadric_shape import HIGH, LOW
 from cloth_predict.observations import NodePositions
 from cloth_predict.types import FloatArray, Gaussian
@@ -82,8 +82,7 @@ class JoinedRecipe:
         moved = moved - linkage.moved(linkage.solve(linkage.rows @ (moved - q) + closing))
         parts = [moved[at] for at in self.joints.coordinates]
         return [
-            belief.moved_to(admissible(body, part))
-            for body, belief, part in zip(bodies, free, parts, strict=True)
+            belief.moved_to(within_ranges(part)) for belief, part in zip(free, parts, strict=True)
         ]
 
 

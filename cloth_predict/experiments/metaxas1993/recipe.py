@@ -15,7 +15,8 @@ from cloth_predict.filters.blocks import BlockGaussian, Blocks
 from cloth_predict.filters.continuous import over
 from cloth_predict.filters.node_update import Seen, updated
 from cloth_predict.models.first_order import FirstOrder
-from cloth_predict.models.superquadric import GLOBAL, LOCAL, ROTATION, TRANSLATION, Superquadric
+from cloth_predict.models.superquadric import LOCAL, Superquadric
+from cloth_predict.models.superquadric_kinematics import within_ranges
 from cloth_predict.observations import NodePositions
 from cloth_predict.types import FloatArray, IntArray
 
@@ -53,7 +54,7 @@ class Recipe:
 
     def start(self, body: Superquadric, q: FloatArray) -> BlockGaussian:
         """Belief before the first frame: P(0) = I, at coordinates q, shape (dim_q,)."""
-        blocks = blocks_of(body)
+        blocks = Blocks.of_coordinates(body)
         own = np.eye(3) + BETWEEN_AXES * (1.0 - np.eye(3))
         shared = np.diag(body.moving[:LOCAL].astype(float))
         return blocks.belief(q, shared, np.tile(own, (len(blocks.own), 1, 1)))
@@ -105,24 +106,9 @@ class Recipe:
         moved = blocks.belief(mean, belief.shared + noise, own)
         obs = NodePositions(body, nodes, np.sqrt(self.v))
         after, _ = updated(moved, over(Seen.of(moved, obs, z.ravel(), mean), dt))
-        return after.moved_to(admissible(body, after.mean))
+        return after.moved_to(within_ranges(after.mean))
 
 
 def nearest(position: FloatArray, points: FloatArray) -> IntArray:
     """The node nearest to each point, as the paper couples model and data, shape (m,)."""
     return np.asarray(cKDTree(position).query(points)[1])
-
-
-def blocks_of(body: Superquadric) -> Blocks:
-    """Blocks for x = q: translation, rotation, global deformation, and each node."""
-    part = np.zeros(LOCAL, np.int64)
-    for k, rows in enumerate((TRANSLATION, ROTATION, GLOBAL)):
-        part[rows] = k
-    own = LOCAL + np.arange(3 * body.nodes).reshape(-1, 3)
-    nodes = body.nodes if body.moving[LOCAL:].any() else 0
-    return Blocks(body.dim_q, np.arange(LOCAL), part[:, None] == part, own[:nodes])
-
-
-def admissible(body: Superquadric, q: FloatArray) -> FloatArray:
-    """Coordinates with a unit quaternion and parameters in their ranges, shape (dim_q,)."""
-    return body.admissible(np.append(q, np.zeros(body.dim_q)))[: body.dim_q]
