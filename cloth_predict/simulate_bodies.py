@@ -1,7 +1,8 @@
 """Recordings of closed bodies with known truth: a balloon on a string, and an insect.
 
-Each part is a deformable superquadric with more nodes than any filter runs, with inertial forces,
-and with an elasticity of which filters know nothing.
+Each part is a deformable superquadric with more nodes than any filter runs, and with an elasticity
+of which filters know nothing. Without the inertial forces of eq. 49, which with a lumped mass give
+energy to a body that turns.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from cloth_predict.types import FloatArray
 
 Forces = Callable[[FloatArray, float], FloatArray]
 """Forces [N] on nodes at positions [m], both (N, 3), at a time [s]."""
+SOFT = np.isin(PARAMETERS, ('a1', 'a2', 'a3', 't1', 't2', 'b1'))
+"""Global parameters that move: the aspect ratios, the tapers and the size of the bend."""
 GRIP = 0.5
 """Angle [rad] on the sphere of the nodes within which a pull takes hold of a body."""
 
@@ -53,8 +56,7 @@ class Moved:
         states, time = self.bodies.split(x[:-1]), float(x[-1])
         given = []
         for part, state, forces in zip(self.bodies.parts, states, self.forces, strict=True):
-            position = part.position(state)
-            given.append(np.sum([force(position, time) for force in forces], axis=0).ravel())
+            given.append(total(forces, part.position(state), time).ravel())
         changes = self.bodies.split(self.bodies.f(x[:-1], np.concatenate(given)))
         for part, state, change in zip(self.bodies.parts, states, changes, strict=True):
             theta, rate = state[ROTATION], state[part.dim_q :][ROTATION]
@@ -75,6 +77,11 @@ class Moved:
         raise TypeError('bodies are simulated by explicit steps only')
 
     jac_input = jac
+
+
+def total(forces: Sequence[Forces], position: FloatArray, time: float) -> FloatArray:
+    """All of the forces on nodes [N], shape (N, 3), at positions [m] and a time [s]."""
+    return np.asarray(np.sum([force(position, time) for force in forces], axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,9 +164,8 @@ def balloon(
 ) -> Truth:
     """A balloon of 100 g, 0.36 m long and soft, pulled by a string at its lower end."""
     shape = np.array([0.18, 0.7, 0.8, 1.0, 1.0, 1.0, 0.2, 0.2, 0.02, 0.0, 0.6])
-    free = np.isin(PARAMETERS, ('a1', 'a2', 'a3', 't1', 't2', 'b1'))
     mesh = ClosedMesh.even(200)
-    body = Superquadric(mesh, mass=0.1, reference=shape, w0=0.2, w1=0.2, alpha=1.0, free=free)
+    body = Superquadric(mesh, mass=0.1, reference=shape, w0=0.2, w1=0.2, alpha=1.0, free=SOFT)
     start = body.state(np.array([0.0, 1.2, 0.0]), UPRIGHT, shape)
     rest = body.position(start)
     pull = Pull.draw(rng, gripped(mesh, (0.0, 0.0, -1.0)), (0.06, 0.06, 0.06))
@@ -233,8 +239,7 @@ def insect_at_rest(mesh: ClosedMesh) -> tuple[Articulated, list[FloatArray]]:
     joints: list[Joint] = []
     for index, limb in enumerate(INSECT.values()):
         shape = np.array([limb.size, *limb.ratios, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.5])
-        free = np.isin(PARAMETERS, ('a1', 'a2', 'a3', 't1', 't2', 'b1'))
-        part = Superquadric(mesh, mass=limb.mass, reference=shape, w0=0.1, w1=0.5, free=free)
+        part = Superquadric(mesh, mass=limb.mass, reference=shape, w0=0.1, w1=0.5, free=SOFT)
         start = part.state(np.array([0.0, 1.2, 0.0]), UPRIGHT, shape)
         if parts:
             root, at = (

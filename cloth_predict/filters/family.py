@@ -19,17 +19,13 @@ from cloth_predict.filters.reduced_rank import Modes, ReducedRank
 from cloth_predict.filters.sigma_points import SigmaPointFilter
 from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.models.mass_spring import MassSpring
-from cloth_predict.types import Filter
+from cloth_predict.types import Filter, Integrator
 
 EXPONENTIAL = Exponential()
 FILTERS: dict[str, Callable[[Config, MassSpring], Filter[Any]]] = {
     'ekf': lambda config, mesh: _ekf(config),
-    'ukf': lambda config, mesh: SigmaPointFilter(
-        INTEGRATORS[config.filter.integrator], config.filter.ukf_alpha, beta=2.0
-    ),
-    'ckf': lambda config, mesh: SigmaPointFilter(
-        INTEGRATORS[config.filter.integrator], alpha=1.0, beta=0.0
-    ),
+    'ukf': lambda config, mesh: _ukf(config, INTEGRATORS[config.filter.integrator]),
+    'ckf': lambda config, mesh: _ckf(INTEGRATORS[config.filter.integrator]),
     'least_squares': lambda config, mesh: LeastSquares(
         INTEGRATORS[config.filter.integrator], config.filter.window
     ),
@@ -44,13 +40,12 @@ FILTERS: dict[str, Callable[[Config, MassSpring], Filter[Any]]] = {
         INTEGRATORS[config.filter.integrator], Modes.smoothest(mesh, config.filter.rank)
     ),
 }
-
 """Those of a surface of springs."""
 BODY_FILTERS: dict[str, Callable[[Config, Blocks], Filter[Any]]] = {
     'decoupled': lambda config, blocks: Decoupled(EXPONENTIAL, blocks),
     'ekf': lambda config, blocks: ExtendedKalmanFilter(EXPONENTIAL),
-    'ukf': lambda config, blocks: SigmaPointFilter(EXPONENTIAL, config.filter.ukf_alpha, beta=2.0),
-    'ckf': lambda config, blocks: SigmaPointFilter(EXPONENTIAL, alpha=1.0, beta=0.0),
+    'ukf': lambda config, blocks: _ukf(config, EXPONENTIAL),
+    'ckf': lambda config, blocks: _ckf(EXPONENTIAL),
 }
 """Those of a closed body, whose linear motion is stepped exactly."""
 KINDS = list(dict.fromkeys([*FILTERS, *BODY_FILTERS]))
@@ -65,6 +60,14 @@ def _ekf(config: Config) -> Filter[Any]:
     exact = ExtendedKalmanFilter(INTEGRATORS[config.filter.integrator])
     hold = config.filter.hold
     return exact if hold == 1 else HeldCovariance(exact, hold)
+
+
+def _ukf(config: Config, integrator: Integrator) -> Filter[Any]:
+    return SigmaPointFilter(integrator, config.filter.ukf_alpha, beta=2.0)
+
+
+def _ckf(integrator: Integrator) -> Filter[Any]:
+    return SigmaPointFilter(integrator, alpha=1.0, beta=0.0)
 
 
 def build_filter(config: Config, mesh: MassSpring) -> Filter[Any]:

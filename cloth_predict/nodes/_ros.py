@@ -9,6 +9,7 @@ import os
 import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -48,7 +49,7 @@ SHUTDOWN_LIMIT = 5.0
 """Seconds that a node may take to leave, after which its process ends all the same."""
 
 
-class ParameterNode(Node):
+class ParameterNode(Node, ABC):
     """A node whose parameters are checked as a whole, at the start only."""
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -63,9 +64,9 @@ class ParameterNode(Node):
             raise
         self.add_on_set_parameters_callback(_refuse)
 
+    @abstractmethod
     def configure(self, values: dict[str, Any]) -> None:
         """Read the parameters, as nested mappings. Raises ConfigError."""
-        raise NotImplementedError
 
     def publisher(self, kind: type, topic: str) -> Any:
         """Sensor-data publisher whose quality of service can be overridden by parameters."""

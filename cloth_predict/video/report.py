@@ -88,8 +88,8 @@ def _stop(seen: Seen | None) -> dict[str, Any] | None:
 def _words(seen: Seen) -> str:
     assert seen.rest is not None
     rest = seen.rest
-    (x, y, angle), cov = rest.stop.mean, rest.stop.cov
-    place, turn = float(np.sqrt(cov[0, 0] + cov[1, 1])), float(np.sqrt(cov[2, 2]))
+    x, y, angle = rest.stop.mean
+    place, turn = rest.stop.place_sigma, rest.stop.angle_sigma
     return (
         f'at {rest.since / NANOSECONDS:.2f} s: rests at {rest.time:.2f} s, '
         f'x = {x:.3f} m, y = {y:.3f} m (+- {1e3 * place:.1f} mm), '

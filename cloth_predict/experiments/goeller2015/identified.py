@@ -9,7 +9,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from cloth_predict.experiments.goeller2015.recipe import by_the_paper
-from cloth_predict.experiments.goeller2015.runs import KNOWN, Bound, Filmed, Run, followed, seeds
+from cloth_predict.experiments.goeller2015.runs import (
+    KNOWN,
+    Bound,
+    Filmed,
+    Run,
+    followed,
+    seeds,
+    since,
+)
 from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, short
 from cloth_predict.simulate_ruler import ANNEX_A
@@ -36,9 +44,10 @@ def _row(version: int, scope: Scope) -> Row:
     found, printed = _errors(ours), _errors(recipe)
     values = film.joint[list(KNOWN)]
     seen = bound.sigma[:, KNOWN[:2]] <= OBSERVED * values[:2]
+    close = np.asarray(~(np.abs(found[..., 2]) > CLOSE).any(axis=0))
     numbers = {
         'ours: worst error of mu at the end': float(np.abs(found[:, -1, 2]).max()),
-        'ours: mu within 2 % in every run from [s]': _since(film.times, found[..., 2]),
+        'ours: mu within 2 % in every run from [s]': since(film.times, close),
         'recipe: worst error of mu at the end': float(np.abs(printed[:, -1, 2]).max()),
         'recipe: runs lost': float(np.isnan(printed[:, -1, 2]).sum()),
         'bound: sigma of mu at the end': float(bound.sigma[-1, KNOWN[2]] / values[2]),
@@ -91,13 +100,6 @@ def _middle(runs: Sequence[Run]) -> float:
     r = runs[0].film.shot.ruler
     ends = np.array([run.mean[-1, KNOWN[:2]] for run in runs])
     return _rms(np.sqrt(ends.prod(axis=1)) - np.sqrt(r.L1 * r.L2))
-
-
-def _since(times: FloatArray, errors: FloatArray) -> float:
-    """Time [s] from which on all errors, shape (runs, frames), are close; infinite if never."""
-    far = np.flatnonzero((np.abs(errors) > CLOSE).any(axis=0))
-    last = -1 if not far.size else int(far[-1])
-    return float(times[last + 1]) if last + 1 < len(times) else float('inf')
 
 
 def _said(numbers: dict[str, float], who: str) -> str:

@@ -24,7 +24,7 @@ from cloth_predict.tracking.ruler_assembly import (
     observation,
 )
 from cloth_predict.tracking.stopping import Stop
-from cloth_predict.types import FloatArray, Gaussian
+from cloth_predict.types import BoolArray, FloatArray, Gaussian
 
 RATE = 50
 """Frames in a second (Goeller et al. 2015, 4.5)."""
@@ -179,3 +179,10 @@ def _poses(film: Filmed, unknowns: FloatArray) -> FloatArray:
 def seeds(scope: Scope, many: int) -> range:
     """Seeds of the noise: fewer in a quick run."""
     return range(max(many // 5, 2) if scope.quick else many)
+
+
+def since(times: FloatArray, good: BoolArray) -> float:
+    """Time [s] from which on all is good, shape (times,) both; infinite if never."""
+    bad = np.flatnonzero(~good)
+    last = -1 if not bad.size else int(bad[-1])
+    return float(times[last + 1]) if last + 1 < len(times) else float('inf')

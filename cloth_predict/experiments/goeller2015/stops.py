@@ -14,11 +14,12 @@ from cloth_predict.experiments.goeller2015.runs import (
     Run,
     followed,
     seeds,
+    since,
 )
 from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, short
 from cloth_predict.simulate_ruler import ANNEX_A
-from cloth_predict.types import BoolArray, FloatArray
+from cloth_predict.types import FloatArray
 
 PLACE, ANGLE = 0.01, np.radians(1.0)
 """Distance [m] and angle [rad] from the true stop that are asked for."""
@@ -71,13 +72,13 @@ def _summary(
         scale = 100.0 if unit == 'cm' else np.degrees(1.0)
         close = (errors[:, :, k] <= asked).mean(axis=0)
         found |= {
-            f'{name} within one of {unit} in 95 % of runs from [s]': _from(times, close >= MOST),
-            f'{name}: two sigmas of the bound within it from [s]': _from(
+            f'{name} within one of {unit} in 95 % of runs from [s]': since(times, close >= MOST),
+            f'{name}: two sigmas of the bound within it from [s]': since(
                 times, 2.0 * least[:, k] <= asked
             ),
         }
-        for what, since in (('the motion', 0.5 * film.duration), ('two seconds', 1.0)):
-            later = times >= since
+        for what, begin in (('the motion', 0.5 * film.duration), ('two seconds', 1.0)):
+            later = times >= begin
             half = int(np.flatnonzero(later)[0])
             found |= {
                 f'{name} within it from half of {what} on': float(close[later].mean()),
@@ -103,13 +104,6 @@ def _told(runs: Sequence[Run], frames: Sequence[int], errors: FloatArray) -> dic
         'place: RMS error when told [cm]': 100.0 * float(np.sqrt(np.mean(place**2))),
         'angle: RMS error when told [degrees]': float(np.degrees(np.sqrt(np.mean(angle**2)))),
     }
-
-
-def _from(times: FloatArray, good: BoolArray) -> float:
-    """Time [s] from which on all is good; infinite if never."""
-    bad = np.flatnonzero(~good)
-    last = -1 if not bad.size else int(bad[-1])
-    return float(times[last + 1]) if last + 1 < len(times) else float('inf')
 
 
 def _said(found: dict[str, float]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from cloth_predict.experiments.metaxas1993.joined import JoinedFilter, JoinedRecipe, Points
 from cloth_predict.experiments.metaxas1993.judging import judged, nets, told
-from cloth_predict.experiments.metaxas1993.object import INTERVAL
+from cloth_predict.experiments.metaxas1993.object import INTERVAL, model
 from cloth_predict.experiments.metaxas1993.ours import Ours, Settings
 from cloth_predict.experiments.metaxas1993.pictures import Shown, bodies
 from cloth_predict.experiments.metaxas1993.recipe import Recipe
@@ -19,7 +19,6 @@ from cloth_predict.models import rotation
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.joints import Joint, Joints
 from cloth_predict.models.superquadric import Superquadric
-from cloth_predict.models.superquadric_shape import PARAMETERS
 from cloth_predict.simulate_bodies import INSECT, Moved, insect_scene
 from cloth_predict.types import FloatArray, IntArray
 
@@ -57,22 +56,20 @@ def flown(frames: int) -> FloatArray:
 
 def first_models(points: Points) -> tuple[list[Superquadric], list[FloatArray], list[Joint]]:
     """Ellipsoids at the middle of their points, their states, and the joints between them."""
-    mesh, free = ClosedMesh.even(NODES), np.array([name != 'a0' for name in PARAMETERS])
     parts: list[Superquadric] = []
     states: list[FloatArray] = []
     joints: list[Joint] = []
     for index, (limb, towards) in enumerate(zip(INSECT.values(), OUTWARD.values(), strict=True)):
-        part = Superquadric(mesh, mass=1.0, reference=FIRST_SHAPE, w0=0.1, w1=0.5, free=free)
+        part = model(NODES, FIRST_SHAPE)
+        directions = part.mesh.directions
         ahead, up = np.array(towards), np.array([0.0, 1.0, 0.0])
         turn = np.stack([ahead, np.cross(up, ahead), up], axis=1)
         states.append(
             part.state(points[index].mean(axis=0), rotation.from_matrix(turn), FIRST_SHAPE)
         )
         if parts:
-            root = int((-mesh.directions[:, 0]).argmax())
-            joints.append(
-                Joint(0, int((mesh.directions @ np.array(limb.at)).argmax()), index, root)
-            )
+            root = int((-directions[:, 0]).argmax())
+            joints.append(Joint(0, int((directions @ np.array(limb.at)).argmax()), index, root))
         parts.append(part)
     return parts, states, joints
 

@@ -4,18 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from cloth_predict.experiments.metaxas1993.ours import Ours
-from cloth_predict.experiments.metaxas1993.recipe import (
-    LONGER,
-    LONGEST,
-    MOST,
-    STEP,
-    Recipe,
-    nearest,
-)
+from cloth_predict.experiments.metaxas1993.recipe import Recipe, nearest
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.linear import condition
@@ -54,28 +48,20 @@ class JoinedRecipe:
         bodies = self.joints.bodies
         beliefs = [self.recipe.start(b, x[: b.dim_q]) for b, x in zip(bodies, states, strict=True)]
         for points in frames:
-            dt, time = STEP, 0.0
-            while time < MOST:
-                before = np.concatenate([belief.mean for belief in beliefs])
-                beliefs = self.step(beliefs, points, dt)
-                moved = np.concatenate([belief.mean for belief in beliefs]) - before
-                time += dt
-                if np.abs(moved).max() * STEP < self.recipe.resting * dt:
-                    break
-                dt = min(dt * LONGER, LONGEST)
+            beliefs, _ = self.recipe.rested(beliefs, partial(self.step, points), _stacked)
             yield [belief.mean for belief in beliefs]
 
     def step(
-        self, beliefs: Sequence[BlockGaussian], points: Points, dt: float
+        self, points: Points, beliefs: Sequence[BlockGaussian], dt: float
     ) -> list[BlockGaussian]:
         """Beliefs dt [s] later."""
         bodies = self.joints.bodies
-        q = np.concatenate([belief.mean for belief in beliefs])
+        q = _stacked(beliefs)
         free = [
             self.recipe.step(body, belief, z, nearest(body.position(belief.mean), z), dt)
             for body, belief, z in zip(bodies, beliefs, points, strict=True)
         ]
-        moved = np.concatenate([belief.mean for belief in free])
+        moved = _stacked(free)
         mobility = np.concatenate([body.moving for body in bodies]).astype(float)
         linkage = self.joints.at(q, mobility)
         closing = -np.expm1(-self.alpha * dt) * self.joints.violation(q)
@@ -84,6 +70,11 @@ class JoinedRecipe:
         return [
             belief.moved_to(within_ranges(part)) for belief, part in zip(free, parts, strict=True)
         ]
+
+
+def _stacked(beliefs: Sequence[BlockGaussian]) -> FloatArray:
+    """Coordinates of all parts, shape (dim_q,)."""
+    return np.concatenate([belief.mean for belief in beliefs])
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, short
 from cloth_predict.integrators import EULER, RungeKutta
 from cloth_predict.models.constraints import Articulated, drift
-from cloth_predict.simulate_bodies import insect_scene
+from cloth_predict.simulate_bodies import insect_scene, total
 from cloth_predict.types import FloatArray
 
 OF_ALPHA = 'without stabilisation C may grow without bounds; a large alpha makes the motion stiff'
@@ -27,13 +27,8 @@ def run(scope: Scope) -> Row:
 
     def pulls(time: float) -> FloatArray:
         """Forces on the parts as they are at rest: those that come and go."""
-        given = []
-        for at, own in zip(rest, forces, strict=True):
-            total = np.zeros_like(at)
-            for force in own:
-                total = total + force(at, time)
-            given.append(total.ravel())
-        return np.concatenate(given)
+        given = [total(own, at, time) for own, at in zip(forces, rest, strict=True)]
+        return np.concatenate(given).ravel()
 
     lines = {}
     for alpha in ALPHAS:

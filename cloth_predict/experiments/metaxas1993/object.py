@@ -13,7 +13,7 @@ from cloth_predict.integrators import RK4, RungeKutta
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.superquadric import Superquadric
 from cloth_predict.models.superquadric_shape import PARAMETERS
-from cloth_predict.simulate_bodies import Pull, gripped
+from cloth_predict.simulate_bodies import SOFT, Pull, gripped
 from cloth_predict.types import FloatArray, IntArray
 
 NODES, FRAMES = 123, 20
@@ -31,7 +31,6 @@ FIRST_SHAPE = np.array([2.7, 0.1, 0.2, 0.7, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.2])
 """The paper's first model."""
 FIRST_CENTRE = np.array([0.4, -0.3, 0.5])
 """Where it is: not at the centre of the data."""
-MOVING = np.isin(PARAMETERS, ('a1', 'a2', 'a3', 't1', 't2', 'b1'))
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Motion:
 def moved(seed: int) -> Motion:
     """Let the object go from rest, pulled at its side by a force that comes and goes."""
     mesh = ClosedMesh.even(NODES)
-    body = Superquadric(mesh, mass=1.0, reference=SHAPE, w0=0.1, w1=0.5, alpha=1.0, free=MOVING)
+    body = Superquadric(mesh, mass=1.0, reference=SHAPE, w0=0.1, w1=0.5, alpha=1.0, free=SOFT)
     pull = Pull.draw(np.random.default_rng(seed), gripped(mesh, (0.9, 0.0, 0.43)), STRENGTH)
     x, found = body.state(np.zeros(3), TURNED, SHAPE), []
     steps, method = round(INTERVAL / STEP), RungeKutta(RK4)
@@ -62,15 +61,13 @@ def moved(seed: int) -> Motion:
     return Motion(body, np.array(found))
 
 
-def model(nodes: int = NODES) -> Superquadric:
-    """The body that is fitted: of the object's kind, of which nothing is known; its scale stays.
+def model(nodes: int = NODES, shape: FloatArray = FIRST_SHAPE) -> Superquadric:
+    """The body that is fitted: one of which nothing is known but the first shape; its scale stays.
 
     Of the scale and the aspect ratios one is superfluous.
     """
     mesh, free = ClosedMesh.even(nodes), np.array([name != 'a0' for name in PARAMETERS])
-    return Superquadric(
-        mesh, mass=1.0, reference=FIRST_SHAPE, w0=0.1, w1=0.5, alpha=1.0, free=free
-    )
+    return Superquadric(mesh, mass=1.0, reference=shape, w0=0.1, w1=0.5, alpha=1.0, free=free)
 
 
 def first_state(body: Superquadric, shape: FloatArray = FIRST_SHAPE) -> FloatArray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -35,6 +36,7 @@ and fade as P falls. Exact in the measurement, they are as close to the solution
 MOST = 1.0
 """Time [s] after which a frame is left as it is."""
 
+T = TypeVar('T')
 Attach = Callable[[FloatArray, FloatArray], IntArray]
 """From positions of the nodes, shape (N, 3), and points, (m, 3), to the node of each point."""
 
@@ -80,17 +82,30 @@ class Recipe:
         self, body: Superquadric, belief: BlockGaussian, z: FloatArray, attach: IntArray | Attach
     ) -> tuple[BlockGaussian, int]:
         """Follow the forces of a frame until nothing moves any more."""
+
+        def advance(belief: BlockGaussian, dt: float) -> BlockGaussian:
+            nodes = attach(body.position(belief.mean), z) if callable(attach) else attach
+            return self.step(body, belief, z, nodes, dt)
+
+        return self.rested(belief, advance, lambda belief: belief.mean)
+
+    def rested(
+        self,
+        state: T,
+        advance: Callable[[T, float], T],
+        coordinates: Callable[[T], FloatArray],
+    ) -> tuple[T, int]:
+        """What is left in a frame when no coordinate moves any more, and after how many steps."""
         dt, time, steps = STEP, 0.0, 0
         while time < MOST:
-            nodes = attach(body.position(belief.mean), z) if callable(attach) else attach
-            before = belief.mean
-            belief = self.step(body, belief, z, nodes, dt)
+            before = coordinates(state)
+            state = advance(state, dt)
             time, steps = time + dt, steps + 1
-            if np.abs(belief.mean - before).max() * STEP < self.resting * dt:
+            if np.abs(coordinates(state) - before).max() * STEP < self.resting * dt:
                 break
             if not self.exact:
                 dt = min(dt * LONGER, LONGEST)
-        return belief, steps
+        return state, steps
 
     def step(
         self, body: Superquadric, belief: BlockGaussian, z: FloatArray, nodes: IntArray, dt: float
