@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from cloth_predict.experiments.metaxas1993.tables import SEED, cell
 from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, short
 
+T = TypeVar('T')
 OF_FIT = (
     '123 nodes and points, 20 frames: from an ellipsoid that is not at the centre of the data the '
     'model is fitted to the first frame, and follows; 2-3 s a frame'
@@ -34,70 +37,83 @@ def fitted(scope: Scope) -> Row:
     """Figure 6."""
     motion, body = moved(SEED), model()
     places, x = motion.positions, first_state(body)
-    nodes = np.arange(body.nodes)
-    recipe, q = Recipe(), x[: body.dim_q]
+    q, nodes, points = x[: body.dim_q], np.arange(body.nodes), list(places)
+    recipe, seen = Recipe(), [nodes] * len(places)
     underway = recipe.start(body, q)
     for _ in range(BEGUN):
         underway = recipe.step(body, underway, places[0], nodes, STEP)
-    begin = time.perf_counter()
-    beliefs = list(recipe.frames(body, q, list(places), [nodes] * len(places)))
-    seconds = [(time.perf_counter() - begin) / len(places)]
+    beliefs, slow = _timed(recipe.frames(body, q, points, seen))
     scope.progress(0.5)
-    begin = time.perf_counter()
-    ours = list(Ours(0.0, INTERVAL).frames(body, x, list(places), [nodes] * len(places)))
-    seconds.append((time.perf_counter() - begin) / len(places))
+    ours, quick = _timed(Ours(0.0, INTERVAL).frames(body, x, points, seen))
     known = fit(body, q, places[0], nodes, 0.1)
     closest = fit(body, q, places[0], lambda at: nearest(at, places[0]), 0.1)
     scope.progress(0.5)
-    found = [
-        np.array([b.mean[: body.dim_q] for b in one]) for one in ([b for b, _ in beliefs], ours)
-    ]
-    errors = [Errors.of(body, one, motion.q, places).position for one in found]
-    states = {
-        'first model': q,
-        f'after {BEGUN} steps': underway.mean,
-        'recipe, frame 1': found[0][0],
-        **{f'recipe, frame {k + 1}': found[0][k] for k in SHOWN},
-        'force-based fit, nearest node': closest.q,
-        'ours, frame 1': found[1][0],
-        **{f'ours, frame {k + 1}': found[1][k] for k in SHOWN},
+    theirs, own = (
+        np.array([belief.mean[: body.dim_q] for belief in one])
+        for one in ([belief for belief, _ in beliefs], ours)
+    )
+    off = {
+        who: Errors.of(body, one, motion.q, places).position
+        for who, one in (('recipe', theirs), ('ours', own))
     }
-    frames = [0, 0, 0, *SHOWN, 0, 0, *SHOWN]
+    states = [
+        ('first model', q, 0),
+        (f'after {BEGUN} steps', underway.mean, 0),
+        ('recipe, frame 1', theirs[0], 0),
+        *((f'recipe, frame {k + 1}', theirs[k], k) for k in SHOWN),
+        ('force-based fit, known nodes', known.q, 0),
+        ('force-based fit, nearest node', closest.q, 0),
+        ('ours, frame 1', own[0], 0),
+        *((f'ours, frame {k + 1}', own[k], k) for k in SHOWN),
+    ]
     shown = [
         Shown(title, [(body.position(at), body.mesh.triangles)], places[k])
-        for (title, at), k in zip(states.items(), frames, strict=True)
+        for title, at, k in states
     ]
-    shown.insert(
-        5,
-        Shown(
-            'force-based fit, known nodes',
-            [(body.position(known.q), body.mesh.triangles)],
-            places[0],
-        ),
-    )
-    picture = scope.save(bodies(shown, 5), 'figure_6.png')
     numbers = {
         'recipe: steps in the first frame': beliefs[0][1],
-        'recipe: position error, first frame': errors[0][0],
-        'recipe: position error, last frame': errors[0][-1],
-        'recipe: seconds a frame': seconds[0],
-        'ours: position error, first frame': errors[1][0],
-        'ours: position error, last frame': errors[1][-1],
-        'ours: seconds a frame': seconds[1],
+        'recipe: position error, first frame': off['recipe'][0],
+        'recipe: position error, last frame': off['recipe'][-1],
+        'recipe: seconds a frame': slow,
+        'ours: position error, first frame': off['ours'][0],
+        'ours: position error, last frame': off['ours'][-1],
+        'ours: seconds a frame': quick,
         'force-based fit, known nodes: steps': known.steps,
         'force-based fit, known nodes: residual': known.residual,
         'force-based fit, nearest node: steps': closest.steps,
         'force-based fit, nearest node: residual': closest.residual,
     }
+    return _row_of_fit(numbers, scope.save(bodies(shown, 5), 'figure_6.png'))
+
+
+def _timed(frames: Iterator[T]) -> tuple[list[T], float]:
+    """All of what is found frame by frame, and the seconds that a frame takes."""
+    begin = time.perf_counter()
+    found = list(frames)
+    return found, (time.perf_counter() - begin) / len(found)
+
+
+def _row_of_fit(numbers: dict[str, float], picture: str) -> Row:
+    def told(who: str, what: str, unit: str = '') -> str:
+        return short(numbers[f'{who}: {what}'], unit)
+
+    first, last, spent = (
+        'position error, first frame',
+        'position error, last frame',
+        'seconds a frame',
+    )
+    known, closest = 'force-based fit, known nodes', 'force-based fit, nearest node'
     return Row(
         '6',
         OF_FIT,
-        f'first frame in {beliefs[0][1]} steps to {short(errors[0][0])}, last frame '
-        f'{short(errors[0][-1])} off (mean over the nodes); {short(seconds[0], "s")} a frame',
-        f'{short(errors[1][0])} off in the first, {short(errors[1][-1])} in the last frame; '
-        f'{short(seconds[1], "s")} a frame. The force-based fit (16) rests after {known.steps} '
-        f'steps with a residual of {short(known.residual)} (known nodes), after {closest.steps} '
-        f'with {short(closest.residual)} (nearest node)',
+        f'first frame in {numbers["recipe: steps in the first frame"]} steps to '
+        f'{told("recipe", first)}, last frame {told("recipe", last)} off (mean over the nodes); '
+        f'{told("recipe", spent, "s")} a frame',
+        f'{told("ours", first)} off in the first, {told("ours", last)} in the last frame; '
+        f'{told("ours", spent, "s")} a frame. The force-based fit (16) rests after '
+        f'{numbers[f"{known}: steps"]} steps with a residual of {told(known, "residual")} (known '
+        f'nodes), after {numbers[f"{closest}: steps"]} with {told(closest, "residual")} (nearest '
+        'node)',
         'The filter keeps a share of its error, as it goes on to the next frame when a step of '
         '4e-5 s changes nothing by 1e-4, which is a rate of 2.5 units in a second.',
         numbers,
