@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cloth_predict.config import Config, ModelConfig, ProjectorConfig
-from cloth_predict.config.schema import BodyConfig
+from cloth_predict.config import BodyConfig, Config, ModelConfig, ProjectorConfig
 from cloth_predict.errors import FrameError
 from cloth_predict.models import superquadric_shape
 from cloth_predict.models.closed_mesh import ClosedMesh

@@ -3,6 +3,7 @@
 YAML files, ROS parameters and docs/parameters.md derive from it.
 """
 
+from cloth_predict.config.body import BodyConfig
 from cloth_predict.config.build import (
     build,
     build_group,
@@ -14,18 +15,17 @@ from cloth_predict.config.build import (
     parse_yaml,
 )
 from cloth_predict.config.checks import misfit
+from cloth_predict.config.projector import ProjectorConfig
 from cloth_predict.config.schema import (
     AnchorsConfig,
     AssociationConfig,
     BaselineConfig,
-    BodyConfig,
     Config,
     FilterConfig,
     ForceConfig,
     LimitsConfig,
     LiveCheckConfig,
     ModelConfig,
-    ProjectorConfig,
     ReplayConfig,
     WindConfig,
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cloth_predict.config.schema import param
+from cloth_predict.config.parameter import param
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from cloth_predict.config.build import build_group, parameters_in
+from cloth_predict.config.parameter import param
 from cloth_predict.config.ruler import RulerConfig
-from cloth_predict.config.schema import param
 from cloth_predict.errors import ConfigError
 
 

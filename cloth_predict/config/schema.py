@@ -3,30 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
-
-def param(
-    default: Any,
-    doc: str,
-    unit: str = '',
-    low: float | None = None,
-    high: float | None = None,
-    above: float | None = None,
-    choices: tuple[str, ...] = (),
-    length: int | None = None,
-) -> Any:
-    """Declare a parameter: default, meaning, unit, and the values that it may take."""
-    limits = {
-        'doc': doc,
-        'unit': unit,
-        'low': low,
-        'high': high,
-        'above': above,
-        'choices': choices,
-        'length': length,
-    }
-    return field(default=default, metadata=limits)
+from cloth_predict.config.body import BodyConfig
+from cloth_predict.config.parameter import param
+from cloth_predict.config.projector import ProjectorConfig
 
 
 @dataclass(frozen=True)
@@ -159,76 +139,6 @@ class ModelConfig:
     def is_body(self) -> bool:
         """Whether it is a closed body, and no surface of springs."""
         return self.kind == 'superquadric'
-
-
-@dataclass(frozen=True)
-class BodyConfig:
-    """A closed body that deforms (`model.kind: superquadric`; Metaxas and Terzopoulos 1993)."""
-
-    nodes: int = param(
-        0,
-        'nodes with a displacement of their own, between which the `model.nodes` that are '
-        'published are interpolated; 0 is one for each of these',
-        low=0,
-    )
-    mesh: str = param(
-        'even',
-        'where these are: spread evenly over the body, or at the markers of the first frame and '
-        'evenly between them',
-        choices=('even', 'markers'),
-    )
-    initial: tuple[float, ...] = param(
-        (),
-        'shape to start from: a0 (m), a1, a2, a3, e1, e2, t1, t2, b1 (m), b2, b3; an ellipsoid as '
-        'large as the markers when left out',
-    )
-    fixed: tuple[str, ...] = param((), 'global parameters, by name, that keep this shape')
-    local: bool = param(True, 'whether each node can be displaced from the global shape')
-    w0: float = param(0.1, 'membrane: stiffness against displacement', 'N/m', low=0)
-    w1: float = param(0.5, 'membrane: stiffness against its variation', 'N/m', above=0)
-    alpha: float = param(1.0, 'damping by mass: how fast motion dies away', '1/s', low=0)
-    beta: float = param(0.0, 'damping by stiffness of the displacements', 's', low=0)
-    inertial: bool = param(
-        False, 'centrifugal and Coriolis forces; the motion is linear without them'
-    )
-    reattach: float = param(
-        0.5,
-        'time after which markers without a label are attached to the nearest nodes anew',
-        's',
-        low=0,
-    )
-    coupling: str = param(
-        'parts',
-        'decoupled: covariances of translation, rotation and shape by themselves, or all three '
-        'together; each node has one of its own',
-        choices=('parts', 'pose'),
-    )
-    push: str = param(
-        'none',
-        'accelerations of the pose that last, as states: rough, smooth (with a rate that carries '
-        'them on), or none',
-        choices=('none', 'ornstein_uhlenbeck', 'matern'),
-    )
-    push_translation: float = param(
-        3.0,
-        'standard deviation of each component of that of the centre',
-        'm/s^2',
-        above=0,
-    )
-    push_rotation: float = param(
-        5.0, 'the same of each component of the quaternion', '1/s^2', above=0
-    )
-    push_tau: float = param(0.2, 'time over which these accelerations forget', 's', above=0)
-    translation_noise: float = param(
-        0.01, 'spectral density of the white acceleration of the centre', 'm^2/s^3', low=0
-    )
-    rotation_noise: float = param(
-        0.1, 'the same of each component of the quaternion', '1/s^3', low=0
-    )
-    global_noise: float = param(
-        0.1, 'the same of each shape parameter, of lengths by the size of the body', '1/s^3', low=0
-    )
-    local_noise: float = param(0.01, 'the same of the displacement of each node', 'm^2/s^3', low=0)
 
 
 @dataclass(frozen=True)
@@ -486,124 +396,6 @@ class ReplayConfig:
 
 
 @dataclass(frozen=True)
-class ProjectorConfig:
-    """The projector: a pinhole (Gomes 2016, eq. 2.8-2.10) with a lens, that draws line by line.
-
-    Pixel centres are at whole numbers, as in OpenCV: the frame reaches from -0.5 to width - 0.5.
-    """
-
-    calibration: str = param(
-        '',
-        'file of OpenCV or `camera_info` (YAML); what it holds takes the place of the resolution, '
-        'focal lengths, skew, principal point, distortion, rotation and translation given here',
-    )
-    width: int = param(1280, 'resolution across', 'px', low=1)
-    height: int = param(720, 'resolution down', 'px', low=1)
-    alpha: float = param(1400.0, 'focal length across', 'px', above=0)
-    beta: float = param(1400.0, 'focal length down', 'px', above=0)
-    gamma: float = param(0.0, 'skew', 'px')
-    u0: float = param(640.0, 'principal point across', 'px')
-    v0: float = param(360.0, 'principal point down', 'px')
-    distortion: tuple[float, ...] = param(
-        (),
-        'k1, k2, p1, p2, then none, k3, or k3 to k6 of the model of OpenCV; none without a lens',
-    )
-    rotation: tuple[float, ...] = param(
-        (1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0),
-        'rotation from the mocap frame to the projector (x right, y down, z out), row by row',
-        length=9,
-    )
-    translation: tuple[float, ...] = param(
-        (-0.255, 1.1, 2.2), 'translation from the mocap frame to the projector', 'm', length=3
-    )
-    throw: str = param(
-        'front',
-        'what the projector does to its picture by itself: nothing, mirror it for a screen lit '
-        'from behind, turn it by 180 degrees where it hangs from a ceiling, or both',
-        choices=('front', 'rear', 'ceiling', 'ceiling_rear'),
-    )
-    fps: float = param(60.0, 'frames drawn per second', 'Hz', above=0, high=1e5)
-    scan: str = param(
-        'progressive',
-        'line by line; every second line and then the others; one colour of the whole frame '
-        'after the other; or the whole frame at once',
-        choices=('progressive', 'interlaced', 'colour_sequential', 'global'),
-    )
-    direction: str = param(
-        'down',
-        'where the beam goes from line to line: lines are rows, or columns',
-        choices=('down', 'up', 'right', 'left'),
-    )
-    blanking: float = param(
-        0.0,
-        'share of the time of a field in which nothing is lit, after its last line',
-        low=0,
-        high=0.99,
-    )
-    colours: int = param(3, 'colour_sequential: fields of a frame', low=1, high=16)
-    motion: str = param(
-        'constant_acceleration',
-        'how a vertex moves while the frame is drawn: by the velocity alone (Gomes 2016, '
-        'eq. 6.23), with the acceleration, or as the model goes on from the start of the frame '
-        'to its end',
-        choices=('constant_velocity', 'constant_acceleration', 'model'),
-    )
-    max_row_error_px: float = param(
-        0.1,
-        'largest error of a vertex that is interpolated between two key rows of '
-        '`projector/scanlines`',
-        'px',
-        low=1e-3,
-    )
-    mirrored: bool = param(
-        False, 'the side that is lit is that on which the texture is mirrored: turn it round'
-    )
-    vsync: str = param(
-        'period',
-        'with `horizon_mode: vsync`: vsyncs at `vsync_phase` and then every 1 / `fps`, or at the '
-        'phase of those that the topic `/vsync` (builtin_interfaces/Time) tells',
-        choices=('period', 'topic'),
-    )
-    vsync_phase: float = param(0.0, 'time of one vsync, by the clock of the nodes', 's')
-    delay: float = param(
-        0.02,
-        'from the vsync (or, without it, the arrival of a prediction) to the first line of the '
-        'frame drawn from it: what the renderer and the projector take',
-        's',
-        low=0,
-        high=1,
-    )
-    lead: float = param(
-        0.004, 'how long before the vsync the warped vertices are published', 's', low=0, high=0.1
-    )
-    fallback: str = param(
-        'hold',
-        'what is shown while there is no safe prediction: the last safe one, or nothing',
-        choices=('hold', 'blank'),
-    )
-    max_sigma: float = param(
-        0.05, 'a prediction is not safe with a sigma above this at any vertex', 'm', above=0
-    )
-    max_age: float = param(
-        0.25,
-        'nor is there a safe one this long after the markers that it is made of',
-        's',
-        above=0,
-    )
-    max_speed: float = param(
-        5000.0,
-        'how fast a vertex may move over the frame when it catches up after a hold',
-        'px/s',
-        above=0,
-    )
-    warp_map: bool = param(
-        False,
-        'publish `projector/warp_map`, the texture coordinate of every pixel; takes a core of its '
-        'own',
-    )
-
-
-@dataclass(frozen=True)
 class LiveCheckConfig:
     """The check of the published predictions against the markers that arrive later."""
 
@@ -629,7 +421,7 @@ class Config:
         (), 'labels of the markers to use, in node order; all of the recording when left out'
     )
     model: ModelConfig = ModelConfig()
-    body: BodyConfig = BodyConfig()
+    body: BodyConfig = field(default_factory=BodyConfig)
     anchors: AnchorsConfig = AnchorsConfig()
     force: ForceConfig = ForceConfig()
     wind: WindConfig = WindConfig()
@@ -638,7 +430,7 @@ class Config:
     limits: LimitsConfig = LimitsConfig()
     baseline: BaselineConfig = BaselineConfig()
     replay: ReplayConfig = ReplayConfig()
-    projector: ProjectorConfig = ProjectorConfig()
+    projector: ProjectorConfig = field(default_factory=ProjectorConfig)
     live_check: LiveCheckConfig = LiveCheckConfig()
 
     @property
