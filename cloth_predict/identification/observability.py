@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cloth_predict.models.differences import RELATIVE
+from cloth_predict.models.differences import steps_of
 from cloth_predict.types import FloatArray
 
 
@@ -18,7 +18,7 @@ def sensitivities(
     simulate: takes many vectors of unknowns at once, shape (2 n, n), and gives an array of shape
     (2 n, ...). By central differences; scale: size of an unknown that is small or zero.
     """
-    steps = RELATIVE * np.maximum(np.abs(at), scale)
+    steps = steps_of(at, scale)
     found = simulate(np.concatenate([at + np.diag(steps), at - np.diag(steps)]))
     up, down = np.split(np.moveaxis(found, 0, -1), 2, axis=-1)
     return np.asarray((up - down) / (2.0 * steps))

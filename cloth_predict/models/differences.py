@@ -13,6 +13,11 @@ RELATIVE = 6e-6
 errors of the difference and of rounding are alike, about 1e-10 of the derivative."""
 
 
+def steps_of(at: FloatArray, scale: float = 1.0) -> FloatArray:
+    """By how much each argument is varied, shape (n,); scale: size of one small or zero."""
+    return RELATIVE * np.maximum(np.abs(at), scale)
+
+
 def central(
     function: Callable[[FloatArray], FloatArray], at: FloatArray, scale: float = 1.0
 ) -> FloatArray:
@@ -20,7 +25,7 @@ def central(
 
     scale: size of an argument that is small or zero.
     """
-    steps = RELATIVE * np.maximum(np.abs(at), scale)
+    steps = steps_of(at, scale)
     columns = []
     for i, step in enumerate(steps):
         moved = np.zeros_like(at)
