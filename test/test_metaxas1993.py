@@ -4,11 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from cloth_predict.cli import main
-from cloth_predict.experiments.metaxas1993 import EXPERIMENTS, insect, tables
+from cloth_predict.experiments.metaxas1993 import EXPERIMENTS, arms, insect, tables
 from cloth_predict.experiments.metaxas1993.errors import Errors, least_position_error
 from cloth_predict.experiments.metaxas1993.joined import JoinedFilter
+from cloth_predict.experiments.metaxas1993.judging import apart
 from cloth_predict.experiments.metaxas1993.object import (
     INTERVAL,
     NODES,
@@ -20,7 +22,6 @@ from cloth_predict.experiments.metaxas1993.object import (
 )
 from cloth_predict.experiments.metaxas1993.ours import Ours
 from cloth_predict.experiments.metaxas1993.recipe import Recipe
-from cloth_predict.models.joints import Joints
 
 
 @pytest.fixture(scope='module')
@@ -30,7 +31,7 @@ def motion():
 
 def test_every_table_and_figure_has_a_row():
     names = [experiment.name for experiment in EXPERIMENTS]
-    assert names == ['6', '7', 'I', 'II', 'III', 'IV', '8', '9', '10', 'alpha']
+    assert names == ['6', '7', 'I', 'II', 'III', 'IV', '8', '9', '10', '11', 'alpha']
 
 
 def test_errors_of_a_shift_and_of_the_other_quaternion(motion):
@@ -82,11 +83,37 @@ def test_ours_finds_the_nodes_of_exact_data(motion):
 def test_joints_of_ours_hold():
     places = insect.flown(1)
     points = [list(places[0])]
-    parts, states, joints = insect.first_models(points[0])
-    ours = JoinedFilter(tuple(parts), tuple(joints), Ours(insect.SIGMA, INTERVAL))
-    (found,) = ours.frames(states, points)
-    gaps = Joints(parts, joints).violation(np.concatenate(found))
+    models = insect.first_models(points[0])
+    ours = JoinedFilter(models.joined, Ours(insect.SIGMA, INTERVAL))
+    (found,) = ours.frames(models.states, points)
+    gaps = models.joined.violation(np.concatenate(found))
     assert np.abs(gaps).max() < 1e-6 * 8.4  # of the size of the body
+
+
+def test_arms_hang_from_where_they_are_held():
+    for share in (0.0, 0.5, 1.0):
+        torso, left, right, *forearms = arms.man(share)
+        for upper, fore in zip((left, right), forearms, strict=True):
+            assert 0.0 < cdist(torso, upper).min() < 4.0  # the nodes that are joined lie between
+            assert cdist(upper, fore).min() < 4.0
+    fallen = np.array([arms.man(share)[3].mean(axis=0)[2] for share in (0.0, 0.5, 1.0)])
+    assert np.all(np.diff(fallen) > 5.0)  # raised
+
+
+def test_first_models_point_to_where_they_are_held():
+    models = arms.first_models(arms.seen(1).points[0])
+    q = np.concatenate(models.coordinates)
+    gaps = np.linalg.norm(models.joined.violation(q).reshape(-1, 3), axis=1)
+    assert gaps.max() < 15.0  # the length of half an arm: none points the wrong way
+
+
+def test_labelled_points_keep_their_places_on_arms():
+    truth = arms.seen(3)
+    models = arms.first_models(truth.points[0])
+    ours = JoinedFilter(models.joined, Ours(arms.SIGMA, arms.INTERVAL, arms.SETTINGS), True)
+    for places, q in zip(truth.places, ours.frames(models.states, truth.points), strict=True):
+        assert apart(places, models.parts, q) < 1.0  # cm; the first models err by 2.4
+        assert np.abs(models.joined.violation(np.concatenate(q))).max() < 1e-6
 
 
 def test_a_figure_from_end_to_end(tmp_path):

@@ -4,7 +4,7 @@ Metaxas, D. and Terzopoulos, D. (1993), Shape and nonrigid motion estimation thr
 synthesis.
 """
 
-from cloth_predict.experiments.metaxas1993 import insect, joints, perturbed, tables, tracking
+from cloth_predict.experiments.metaxas1993 import arms, insect, joints, perturbed, tables, tracking
 from cloth_predict.experiments.rows import Experiment
 
 EXPERIMENTS: tuple[Experiment, ...] = (
@@ -12,6 +12,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     *tables.EXPERIMENTS,
     *perturbed.EXPERIMENTS,
     *insect.EXPERIMENTS,
+    *arms.EXPERIMENTS,
     *joints.EXPERIMENTS,
 )
 """A new experiment is one entry; the rows come in this order."""

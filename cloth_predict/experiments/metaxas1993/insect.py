@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
+from cloth_predict.experiments.metaxas1993.following import Models, Truth, View, followed
 from cloth_predict.experiments.metaxas1993.joined import JoinedFilter, JoinedRecipe, Points
-from cloth_predict.experiments.metaxas1993.judging import judged, nets, told
 from cloth_predict.experiments.metaxas1993.object import INTERVAL, model
 from cloth_predict.experiments.metaxas1993.ours import Ours, Settings
-from cloth_predict.experiments.metaxas1993.pictures import Shown, bodies
 from cloth_predict.experiments.metaxas1993.recipe import Recipe
 from cloth_predict.experiments.rows import Experiment, Row, Scope
 from cloth_predict.filming import film
 from cloth_predict.models import rotation
 from cloth_predict.models.closed_mesh import ClosedMesh
-from cloth_predict.models.joints import Joint, Joints
-from cloth_predict.models.superquadric import Superquadric
+from cloth_predict.models.joints import Joint
 from cloth_predict.simulate_bodies import INSECT, Moved, insect_scene
-from cloth_predict.types import FloatArray, IntArray
+from cloth_predict.types import FloatArray
 
 DENSE = (
     'five parts of 27 nodes, four joints, 27 points on each, 36 frames: the forces of the joints '
@@ -43,6 +40,11 @@ OUTWARD = {
     'wing_left': (0.0, 0.0, -1.0), 'wing_right': (0.0, 0.0, 1.0),
 }  # fmt: skip
 """Where the x axis of each first model points, away from the joint; y is up."""
+WHY = (
+    'The motion is another one. The recipe takes the next frame at rates below 2.5 in a second: '
+    f'with a = b = {ALPHA:g} a joint that is open by less than {2.5 / ALPHA:.1g} closes no '
+    'further in a frame. Ours takes the joints as measurements without noise.'
+)
 
 
 def flown(frames: int) -> FloatArray:
@@ -54,101 +56,49 @@ def flown(frames: int) -> FloatArray:
     return SCALE * places.reshape(frames, len(INSECT), NODES, 3)
 
 
-def first_models(points: Points) -> tuple[list[Superquadric], list[FloatArray], list[Joint]]:
+def first_models(points: Points) -> Models:
     """Ellipsoids at the middle of their points, their states, and the joints between them."""
-    parts: list[Superquadric] = []
-    states: list[FloatArray] = []
-    joints: list[Joint] = []
+    models = Models([], [], [])
     for index, (limb, towards) in enumerate(zip(INSECT.values(), OUTWARD.values(), strict=True)):
         part = model(NODES, FIRST_SHAPE)
         directions = part.mesh.directions
         ahead, up = np.array(towards), np.array([0.0, 1.0, 0.0])
         turn = np.stack([ahead, np.cross(up, ahead), up], axis=1)
-        states.append(
+        models.states.append(
             part.state(points[index].mean(axis=0), rotation.from_matrix(turn), FIRST_SHAPE)
         )
-        if parts:
+        if models.parts:
             root = int((-directions[:, 0]).argmax())
-            joints.append(Joint(0, int((directions @ np.array(limb.at)).argmax()), index, root))
-        parts.append(part)
-    return parts, states, joints
+            held = int((directions @ np.array(limb.at)).argmax())
+            models.joints.append(Joint(0, held, index, root))
+        models.parts.append(part)
+    return models
 
 
 def run(few: bool, scope: Scope) -> Row:
     """Figure 9, or 10 with few points."""
-    frames = 8 if scope.quick else FRAMES
-    places = flown(frames)
+    places = flown(8 if scope.quick else FRAMES)
     rng = np.random.default_rng(SEED)
     chosen = [np.sort(rng.permutation(NODES)[: FEW if few else NODES]) for _ in INSECT]
     points = [[own[nodes] for own, nodes in zip(frame, chosen, strict=True)] for frame in places]
-    parts, states, joints = first_models(points[0])
-    joined = Joints(parts, joints)
-    scope.progress(0.2)
-    recipe = list(JoinedRecipe(Recipe(), joined, ALPHA).frames(states, points))
-    scope.progress(0.4)
-    settings = Settings(push=2.0, turn=2.0, local=0.3)
-    ours = list(
-        JoinedFilter(tuple(parts), tuple(joints), Ours(SIGMA, INTERVAL, settings)).frames(
-            states, points
-        )
-    )
-    scope.progress(0.4)
-    numbers = {'size': float(np.ptp(places[0].reshape(-1, 3), axis=0).max())}
-    numbers |= judged('recipe', parts, joined, [list(p) for p in places], recipe)
-    numbers |= judged('ours', parts, joined, [list(p) for p in places], ours)
-    name = '10' if few else '9'
-    last = frames - 1
-    chosen_frames = (0, last // 2, last)
-    shown = [
-        Shown(
-            'first models',
-            _upright(nets(parts, [x[: p.dim_q] for p, x in zip(parts, states, strict=True)])),
-            _dots(points[0]),
-        )
-    ]
-    for who, found in (('recipe', recipe), ('ours', ours)):
-        shown += [
-            Shown(f'{who}, frame {k + 1}', _upright(nets(parts, found[k])), _dots(points[k]))
-            for k in chosen_frames
-        ]
-    shown.insert(
-        4,
-        Shown(
-            'truth, last frame',
-            _upright([(p, ClosedMesh.even(NODES).triangles) for p in places[-1]]),
-            _dots(points[-1]),
+    models = first_models(points[0])
+    ours = Ours(SIGMA, INTERVAL, Settings(push=2.0, turn=2.0, local=0.3))
+    return followed(
+        ('10', SPARSE, WHY) if few else ('9', DENSE, WHY),
+        models,
+        Truth(points, [list(p) for p in places], [ClosedMesh.even(NODES).triangles] * len(INSECT)),
+        (
+            JoinedRecipe(Recipe(), models.joined, ALPHA),
+            JoinedFilter(models.joined, ours),
         ),
-    )
-    picture = scope.save(bodies(shown, 4, (40.0, -50.0), 0.75), f'figure_{name}.png')
-    return Row(
-        name,
-        SPARSE if few else DENSE,
-        told(numbers, 'recipe'),
-        told(numbers, 'ours'),
-        WHY,
-        numbers,
-        (picture,),
+        View((40.0, -50.0), 0.75, _upright),
+        scope,
     )
 
 
-WHY = (
-    'The motion is another one. The recipe takes the next frame at rates below 2.5 in a second: '
-    f'with a = b = {ALPHA:g} a joint that is open by less than {2.5 / ALPHA:.1g} closes no '
-    'further in a frame. Ours takes the joints as measurements without noise.'
-)
-
-
-def _up(position: FloatArray) -> FloatArray:
+def _upright(position: FloatArray) -> FloatArray:
     """Turn y, which is up, to the vertical of a picture."""
     return position[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
-
-
-def _upright(parts: Sequence[tuple[FloatArray, IntArray]]) -> list[tuple[FloatArray, IntArray]]:
-    return [(_up(position), triangles) for position, triangles in parts]
-
-
-def _dots(points: Points) -> FloatArray:
-    return _up(np.concatenate(list(points)))
 
 
 EXPERIMENTS = (

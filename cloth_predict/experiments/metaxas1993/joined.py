@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from cloth_predict.bodies.association import UNNAMED, Attached, attach
 from cloth_predict.experiments.metaxas1993.ours import Ours
 from cloth_predict.experiments.metaxas1993.recipe import Recipe, nearest
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
@@ -15,7 +16,7 @@ from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.linear import condition
 from cloth_predict.integrators import INTEGRATORS
 from cloth_predict.models.constraints import Articulated
-from cloth_predict.models.joints import Joint, Joints
+from cloth_predict.models.joints import Joints
 from cloth_predict.models.superquadric import GLOBAL, Superquadric
 from cloth_predict.models.superquadric_kinematics import within_ranges
 from cloth_predict.models.superquadric_shape import HIGH, LOW
@@ -26,8 +27,9 @@ Points = Sequence[FloatArray]
 """Points of each part, shape (m, 3)."""
 HELD = 1e-6
 """Standard deviation to which a joint is said to hold, in the units of the bodies."""
-ROUNDS = 6
-"""Linearisations of an update, at each of which points find their nodes anew."""
+ROUNDS, FIRST_ROUNDS = 6, 12
+"""Linearisations of an update, at each of which points find their nodes anew; and those of the
+frame in which points with labels find theirs for good."""
 
 
 @dataclass(frozen=True)
@@ -79,27 +81,33 @@ def _stacked(beliefs: Sequence[BlockGaussian]) -> FloatArray:
 
 @dataclass(frozen=True)
 class JoinedFilter:
-    """Ours: one filter of all parts, to which joints are measurements without noise."""
+    """Ours: one filter of all parts, to which joints are measurements without noise.
 
-    bodies: tuple[Superquadric, ...]
-    joints: tuple[Joint, ...]
+    labelled: whether points come in the same order in all frames. They keep the place on their
+    part that they find in the first one, which need not be a node.
+    """
+
+    joints: Joints
     ours: Ours
+    labelled: bool = False
 
     def frames(
         self, states: Sequence[FloatArray], frames: Sequence[Points]
     ) -> Iterator[list[FloatArray]]:
         """Coordinates of the parts after each frame, from their states at first."""
-        model = Articulated(self.bodies, [], 0.0)
+        bodies = self.joints.bodies
+        model = Articulated(bodies, [], 0.0)
         kalman = ExtendedKalmanFilter(INTEGRATORS['exponential'])
         belief, density = self._start(model, states)
+        worn: list[Attached] | None = None
         for k, points in enumerate(frames):
             if k:
                 still = np.zeros(model.dim_u)
                 belief = kalman.predict(belief, model, still, density, self.ours.interval)
-            belief = self._taken(model, belief, points)
+            belief, found = self._taken(model, belief, points, worn)
+            worn = found if self.labelled else None
             yield [
-                x[: body.dim_q]
-                for body, x in zip(self.bodies, model.split(belief.mean), strict=True)
+                x[: body.dim_q] for body, x in zip(bodies, model.split(belief.mean), strict=True)
             ]
 
     def _start(
@@ -107,26 +115,35 @@ class JoinedFilter:
     ) -> tuple[Gaussian, FloatArray]:
         """The belief before the first frame, of parts by themselves, and the noise."""
         variances = []
-        for body, x in zip(self.bodies, states, strict=True):
+        for body, x in zip(self.joints.bodies, states, strict=True):
             known = self.ours.start(body, Blocks.of_body(body, 'pose'), x)
             variances.append(known.marginals(np.arange(body.dim_x)[:, None])[:, 0, 0])
-        densities = [self.ours.density(body) for body in self.bodies]
+        densities = [self.ours.density(body) for body in self.joints.bodies]
         prior = Gaussian(model.join(list(states)), np.diag(model.join(variances)))
         return prior, model.join(densities)
 
-    def _taken(self, model: Articulated, belief: Gaussian, points: Points) -> Gaussian:
-        """The belief after a frame, linearised where the last one is (Gauss and Newton)."""
-        at, rows, joined = belief.mean, model.rows, Joints(self.bodies, self.joints)
-        for _ in range(ROUNDS):
+    def _taken(
+        self, model: Articulated, belief: Gaussian, points: Points, worn: list[Attached] | None
+    ) -> tuple[Gaussian, list[Attached]]:
+        """The belief after a frame, linearised where the last one is (Gauss and Newton).
+
+        worn: where the points of each part are on it, if that is known; returned as it was found.
+        """
+        at, rows, bodies, joined = belief.mean, model.rows, self.joints.bodies, self.joints
+        for _ in range(FIRST_ROUNDS if self.labelled and worn is None else ROUNDS):
             jacs, residuals, noise = [], [], []
-            for body, own, x, z in zip(self.bodies, rows, model.split(at), points, strict=True):
-                obs = NodePositions(body, nearest(body.position(x), z), self.ours.sigma)
+            states = model.split(at)
+            now = worn or [
+                self._attached(*each) for each in zip(bodies, states, points, strict=True)
+            ]
+            for body, own, x, z, there in zip(bodies, rows, states, points, now, strict=True):
+                obs = NodePositions(body, there.node, self.ours.sigma)
                 jac = np.zeros((z.size, model.dim_x))
                 jac[:, own] = obs.jac(x)
                 jacs.append(jac)
-                residuals.append(z.ravel() - obs.h(x))
+                residuals.append(there.of_nodes(z, body.rotation(x)).ravel() - obs.h(x))
                 noise.append(obs.cov)
-            jac = np.zeros((3 * len(self.joints), model.dim_x))
+            jac = np.zeros((3 * len(joined.joints), model.dim_x))
             jac[:, : model.dim_q] = joined.jacobian(at[: model.dim_q])
             jacs.append(jac)
             residuals.append(-joined.violation(at[: model.dim_q]))
@@ -135,7 +152,14 @@ class JoinedFilter:
             off = residual - H @ (belief.mean - at)
             found, _ = condition(belief, H, np.concatenate(noise), off)
             at = model.admissible(found.mean)
-        return replace(found, mean=closed(model, joined, at))
+        return replace(found, mean=closed(model, joined, at)), now
+
+    def _attached(self, body: Superquadric, x: FloatArray, points: FloatArray) -> Attached:
+        """Where points, shape (m, 3), are on a part: at the nearest node, or also beside it."""
+        nobody = np.full(len(points), UNNAMED)
+        if self.labelled:
+            return attach(points, nobody, 0, body.mesh, body.position(x), body.rotation(x))
+        return Attached(nearest(body.position(x), points), np.zeros_like(points), nobody, nobody)
 
 
 def closed(model: Articulated, joints: Joints, x: FloatArray) -> FloatArray:
