@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from cloth_predict.exponential import Exponential
 from cloth_predict.filters.blocks import Blocks
 from cloth_predict.filters.decoupled import Decoupled, position_covariances
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
+from cloth_predict.integrators.exponential import Exponential
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.superquadric import GLOBAL, LOCAL, ROTATION, TRANSLATION, Superquadric
 from cloth_predict.observations import NodePositions

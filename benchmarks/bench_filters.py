@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from cloth_predict.config import Config, build
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.family import FILTERS
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_springs

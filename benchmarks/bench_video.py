@@ -14,7 +14,7 @@ import numpy as np
 
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.performance import one_core
-from cloth_predict.simulate_ruler import ANNEX_A, Slide, measured, slide
+from cloth_predict.simulation.ruler import ANNEX_A, Slide, measured, slide
 from cloth_predict.tracking.ruler import RulerTracker
 from cloth_predict.video.commands import COMPRESSED
 from cloth_predict.video.detector import BarDetector

@@ -38,7 +38,7 @@ from cloth_predict.evaluation.degrade import Degradation
 from cloth_predict.filters.family import KINDS
 from cloth_predict.performance import one_core
 from cloth_predict.share import find
-from cloth_predict.simulate import SCENARIOS
+from cloth_predict.simulation.recordings import SCENARIOS
 
 
 def main(arguments: list[str] | None = None) -> int:

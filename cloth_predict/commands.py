@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_predict import config as configuration
-from cloth_predict import simulate as simulation
 from cloth_predict.config import Config
 from cloth_predict.errors import (
     ClothPredictError,
@@ -40,6 +39,7 @@ from cloth_predict.formats.pointcloud import encode_markers, encode_surface
 from cloth_predict.formats.recording import read
 from cloth_predict.projection.calibration import Calibration, calibrate
 from cloth_predict.projection.calibration_report import complaints
+from cloth_predict.simulation import recordings as simulation
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import MarkerSequence
 

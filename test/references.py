@@ -10,7 +10,7 @@ from filterpy.kalman import KalmanFilter
 from scipy import sparse
 from scipy.linalg import expm
 
-from cloth_predict.integrators import DenseTangent
+from cloth_predict.integrators.dense_tangent import DenseTangent
 from cloth_predict.models.air import Air
 from cloth_predict.models.linear_part import LinearPart
 from cloth_predict.models.mass_spring import MassSpring

@@ -4,7 +4,7 @@ import numpy as np
 
 from cloth_predict.config import build
 from cloth_predict.identification.objectives.trajectory import Scenario, simulate
-from cloth_predict.simulate import settled
+from cloth_predict.simulation.recordings import settled
 from cloth_predict.surface.assembly import build_mass_spring, mesh_rest_shape
 from cloth_predict.types import MarkerSequence
 

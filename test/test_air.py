@@ -5,9 +5,9 @@ import pytest
 from references import central_differences, flat_grid, random_surface
 from scipy.spatial.transform import Rotation
 
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.air import Air
-from cloth_predict.simulate import vertex_areas
+from cloth_predict.simulation.recordings import vertex_areas
 from cloth_predict.surface.topology import grid_triangles
 
 STILL = np.zeros((12, 3))

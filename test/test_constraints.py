@@ -6,7 +6,7 @@ from references import central_differences, order_of
 from scipy.sparse.linalg import expm_multiply
 
 from cloth_predict.errors import ConfigError
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.constraints import Articulated, Joint, drift
 from cloth_predict.models.constraints_first_order import ArticulatedFirstOrder

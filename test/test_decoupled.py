@@ -8,11 +8,11 @@ from bodies import REFERENCE, body, whole_covariance
 from references import central_differences, kalman_update, random_covariance, trapezoid
 from scipy.linalg import expm
 
-from cloth_predict.exponential import Exponential
 from cloth_predict.filters.blocks import Blocks
 from cloth_predict.filters.decoupled import Decoupled, position_covariances
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.sigma_points import SigmaPointFilter
+from cloth_predict.integrators.exponential import Exponential
 from cloth_predict.models.accelerated import Accelerated
 from cloth_predict.models.disturbed import ForceProcess
 from cloth_predict.models.superquadric import GLOBAL, LOCAL, ROTATION

@@ -7,7 +7,9 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.linear import propagate
-from cloth_predict.integrators import INTEGRATORS, DenseTangent, ImplicitEuler
+from cloth_predict.integrators.dense_tangent import DenseTangent
+from cloth_predict.integrators.family import INTEGRATORS
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed, ForceProcess
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import Gaussian

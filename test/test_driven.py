@@ -5,7 +5,7 @@ import pytest
 from references import KinematicTrack, random_surface
 
 from cloth_predict.config import build
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.surface.driven import DrivenNodes
 

@@ -14,8 +14,8 @@ from scipy import sparse
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from cloth_predict.exponential import Exponential
-from cloth_predict.integrators import RK4, RungeKutta
+from cloth_predict.integrators.exponential import Exponential
+from cloth_predict.integrators.runge_kutta import RK4, RungeKutta
 from cloth_predict.models.linear_part import LinearPart
 
 NO_INPUT = np.zeros(0)

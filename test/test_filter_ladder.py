@@ -27,7 +27,8 @@ from scipy.stats import chi2
 
 from cloth_predict.config import FilterConfig, build
 from cloth_predict.filters.family import BODY_FILTERS, FILTERS
-from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
+from cloth_predict.integrators.family import INTEGRATORS
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.surface.assembly import rest_shape

@@ -23,7 +23,7 @@ from scipy.stats import chi2
 from cloth_predict.config import load
 from cloth_predict.filters.fixed_gain import FixedGain, NodeBelief, NodeMotion
 from cloth_predict.formats.bag import read_recording
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed, ForceProcess
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.tracker import Tracker

@@ -19,10 +19,10 @@ from cloth_predict.experiments.goeller2015.runs import (
 )
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.identification.observability import bounds, sensitivities
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.models.ruler import Ruler
 from cloth_predict.observations import LinearObservation
-from cloth_predict.simulate_ruler import ANNEX_A
+from cloth_predict.simulation.ruler import ANNEX_A
 from cloth_predict.tracking.ruler_assembly import first_belief, joint_model
 from cloth_predict.tracking.stopping import Stop
 from cloth_predict.types import Gaussian

@@ -10,7 +10,7 @@ from cloth_predict.config import build
 from cloth_predict.evaluation.compare import evaluate
 from cloth_predict.evaluation.predictors import methods
 from cloth_predict.filters.gomes2016 import Gomes2016
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.surface.assembly import rest_shape
 from cloth_predict.types import Gaussian, MarkerSequence

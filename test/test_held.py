@@ -9,7 +9,7 @@ from references import Linear, kalman_update, random_surface
 from cloth_predict.filters import held
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.held import GONE, SETTLED, HeldCovariance
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import Gaussian
 

@@ -14,7 +14,9 @@ from references import (
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from cloth_predict.integrators import EULER, INTEGRATORS, RK4, ImplicitEuler, RungeKutta, Tableau
+from cloth_predict.integrators.family import INTEGRATORS
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
+from cloth_predict.integrators.runge_kutta import EULER, RK4, RungeKutta, Tableau
 from cloth_predict.models.disturbed import Disturbed, ForceProcess, Unknown
 
 ORDERS = {'euler': 1, 'rk4': 4, 'implicit_euler': 1, 'exponential': 2}

@@ -19,7 +19,8 @@ from scipy.optimize import least_squares
 
 from cloth_predict.filters.least_squares import LeastSquares
 from cloth_predict.filters.recursive_least_squares import RecursiveLeastSquares
-from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
+from cloth_predict.integrators.family import INTEGRATORS
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import Gaussian
 

@@ -5,7 +5,7 @@ import pytest
 from references import kalman_update, random_covariance, selection, trapezoid
 
 from cloth_predict.filters.linear import condition, propagate
-from cloth_predict.integrators import DenseTangent
+from cloth_predict.integrators.dense_tangent import DenseTangent
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.types import Gaussian
 

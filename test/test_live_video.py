@@ -13,7 +13,7 @@ from cloth_predict.errors import ConfigError, FormatError, FrameError
 from cloth_predict.nodes._images import image, picture_of
 from cloth_predict.nodes.ruler_node import RulerNode
 from cloth_predict.nodes.video_node import VideoNode
-from cloth_predict.simulate_ruler import ANNEX_A, slide
+from cloth_predict.simulation.ruler import ANNEX_A, slide
 from cloth_predict.video.commands import film
 from cloth_predict.video.generator import Filming
 

@@ -14,7 +14,8 @@ from references import (
 )
 from scipy.spatial.transform import Rotation
 
-from cloth_predict.integrators import RK4, ImplicitEuler, RungeKutta
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
+from cloth_predict.integrators.runge_kutta import RK4, RungeKutta
 from cloth_predict.models import blocks
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs, grid_pairs

@@ -96,8 +96,7 @@ ONLY = {
     'errors': {'types', 'errors'},
     'config': {'types', 'errors', 'config'},
     'models': {'types', 'errors', 'models'},
-    'exponential': {'types', 'errors', 'models'},
-    'integrators': {'types', 'errors', 'models', 'exponential'},
+    'integrators': {'types', 'errors', 'models', 'integrators'},
     'observations': {'types', 'errors', 'models'},
 }
 ABOVE = {'identification', 'experiments'}
@@ -131,6 +130,16 @@ NEVER = {
     'tracker': {'evaluation', *ABOVE, 'cli', 'command_line', 'nodes', 'formats'},
     'evaluation': {*ABOVE, 'cli', 'command_line', 'nodes'},
     'identification': {'experiments', 'cli', 'command_line', 'nodes'},
+    'simulation': {
+        'filters',
+        'markers',
+        *TRACKING,
+        *ABOVE,
+        'evaluation',
+        'cli',
+        'command_line',
+        'nodes',
+    },
     'cli': {'cli'},
     'command_line': {'cli', 'nodes'},
     'nodes': {'cli', 'command_line'},

@@ -29,7 +29,7 @@ from cloth_predict.projection.pinhole import Pinhole
 from cloth_predict.projection.scan import Scan
 from cloth_predict.projection.scanout import row_times
 from cloth_predict.projection.warp import Warper
-from cloth_predict.simulate import simulate
+from cloth_predict.simulation.recordings import simulate
 from cloth_predict.surface.topology import grid_triangles
 from cloth_predict.tracker import Tracker
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence, Surface

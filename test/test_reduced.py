@@ -5,7 +5,7 @@ import pytest
 from references import central_differences, flat_grid, order_of, random_surface
 
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.modes import linear_modes, motion_modes

@@ -17,7 +17,7 @@ from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.fixed_gain import FixedGain
 from cloth_predict.filters.reduced_rank import ModalBelief, Modes, ReducedRank
 from cloth_predict.formats.bag import read_recording
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed, ForceProcess
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs

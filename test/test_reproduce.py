@@ -11,23 +11,28 @@ from references import even_surface
 from cloth_predict.cli import main
 from cloth_predict.config import load
 from cloth_predict.errors import ConfigError
-from cloth_predict.experiments import (
+from cloth_predict.experiments import gomes2016, works
+from cloth_predict.experiments.gomes2016 import (
     between,
     compressed,
     dropped,
-    gomes2016,
     grids,
     integration,
     shaken,
     stiff,
     towel,
-    works,
 )
-from cloth_predict.experiments.frames import Frames, Track, held
-from cloth_predict.experiments.recursion import EulerStep, by_the_letter, followed, tracked
+from cloth_predict.experiments.gomes2016.frames import Frames, Track, held
+from cloth_predict.experiments.gomes2016.recursion import (
+    EulerStep,
+    by_the_letter,
+    followed,
+    tracked,
+)
+from cloth_predict.experiments.gomes2016.simulated import config, for_noise
 from cloth_predict.experiments.rows import Experiment, Row, Scope, short
-from cloth_predict.experiments.simulated import config, for_noise
-from cloth_predict.integrators import EULER, ImplicitEuler, RungeKutta
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
+from cloth_predict.integrators.runge_kutta import EULER, RungeKutta
 from cloth_predict.share import find
 
 REQUIRED = (

@@ -9,11 +9,11 @@ from scipy.integrate import solve_ivp
 
 from cloth_predict.experiments.goeller2015.friction import Rounded
 from cloth_predict.formats.bag import read_recording, write_recording
-from cloth_predict.integrators import RungeKutta
+from cloth_predict.integrators.runge_kutta import RungeKutta
+from cloth_predict.integrators.sliding import Sliding
 from cloth_predict.models.ruler import Ruler
-from cloth_predict.simulate import simulate
-from cloth_predict.simulate_ruler import ANNEX_A, Shot, measured, random_shot, slide
-from cloth_predict.sliding import Sliding
+from cloth_predict.simulation.recordings import simulate
+from cloth_predict.simulation.ruler import ANNEX_A, Shot, measured, random_shot, slide
 
 NO_INPUT = np.zeros(0)
 G = 9.81

@@ -9,7 +9,7 @@ from filterpy.kalman.CubatureKalmanFilter import ckf_transform, spherical_radial
 from references import Linear, random_covariance
 
 from cloth_predict.filters.sigma_points import SigmaPointFilter
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.types import Gaussian
 
 NO_INPUT = np.zeros(0)

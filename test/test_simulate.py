@@ -7,7 +7,7 @@ import pytest
 from references import accelerations, even_surface, order_of
 
 from cloth_predict.formats.bag import Truth, read_recording
-from cloth_predict.simulate import (
+from cloth_predict.simulation.recordings import (
     AIR_DENSITY,
     SCENARIOS,
     Scene,
@@ -22,7 +22,7 @@ from cloth_predict.simulate import (
     towel_fan,
     vertex_areas,
 )
-from cloth_predict.surroundings import Draught, Fan, Gusts, Rail
+from cloth_predict.simulation.surroundings import Draught, Fan, Gusts, Rail
 
 ROOT = Path(__file__).parents[1]
 STILL = Gusts(np.ones(1), np.zeros(1), np.zeros(1), np.zeros((1, 2)))

@@ -8,13 +8,11 @@ import pytest
 from references import order_of
 from scipy.spatial.transform import Rotation
 
-from cloth_predict.filming import film
 from cloth_predict.formats.bag import read_recording, write_recording
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.constraints import Articulated
 from cloth_predict.models.superquadric import Superquadric
-from cloth_predict.simulate import simulate
-from cloth_predict.simulate_bodies import (
+from cloth_predict.simulation.bodies import (
     INSECT,
     UPRIGHT,
     Elastic,
@@ -26,6 +24,8 @@ from cloth_predict.simulate_bodies import (
     insect,
     insect_at_rest,
 )
+from cloth_predict.simulation.filming import film
+from cloth_predict.simulation.recordings import simulate
 
 SHAPE = np.array([0.2, 0.6, 0.8, 1.0, 1.0, 1.0, 0.2, 0.0, 0.0, 0.0, 0.5])
 

@@ -23,7 +23,8 @@ from cloth_predict.filters.kinematic import POLYNOMIALS, swing
 from cloth_predict.filters.kinematic_bank import KinematicBank
 from cloth_predict.filters.smoothing import Moment, smooth, smooth_bank, stepped, taken
 from cloth_predict.formats.recording import read
-from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
+from cloth_predict.integrators.family import INTEGRATORS
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.observations import LinearObservation, VisiblePositions
 from cloth_predict.surface.starting import Starter

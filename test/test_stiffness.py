@@ -13,7 +13,8 @@ from cloth_predict.errors import ClothPredictError
 from cloth_predict.evaluation.cases import case_of, frames_of
 from cloth_predict.evaluation.conditioning import condition_number, condition_numbers
 from cloth_predict.formats.recording import read
-from cloth_predict.integrators import ImplicitEuler, RungeKutta
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
+from cloth_predict.integrators.runge_kutta import RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs, grid_pairs
 from cloth_predict.models.stiffness import Carried, analytic_stiffness, carried, lloyd_2007

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from cloth_predict.config import build
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.errors import ConfigError, FrameError, UncertainError
-from cloth_predict.integrators import RungeKutta
-from cloth_predict.simulate_ruler import ANNEX_A, measured, slide
-from cloth_predict.sliding import Sliding
+from cloth_predict.integrators.runge_kutta import RungeKutta
+from cloth_predict.integrators.sliding import Sliding
+from cloth_predict.simulation.ruler import ANNEX_A, measured, slide
 from cloth_predict.surface.assembly import build_mass_spring, rest_shape
 from cloth_predict.tracking.ruler import RulerTracker
 from cloth_predict.tracking.ruler_assembly import first_belief, joint_model

@@ -8,7 +8,7 @@ from references import central_differences, order_of
 from scipy.linalg import expm
 
 from cloth_predict.errors import ConfigError
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.models import rotation, superquadric_shape
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.first_order import FirstOrder

@@ -14,7 +14,7 @@ from cloth_predict.errors import FrameError
 from cloth_predict.evaluation.compare import evaluate
 from cloth_predict.evaluation.predictors import METHODS
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.models.springs import grid_pairs
 from cloth_predict.surface.assembly import aligned, build_mass_spring, complete, rest_shape

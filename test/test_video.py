@@ -14,7 +14,7 @@ from cloth_predict.cli import main
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.config.ruler_video import CameraConfig, RulerVideoConfig, build_ruler_video
 from cloth_predict.errors import ConfigError, FormatError, FrameError
-from cloth_predict.simulate_ruler import ANNEX_A, measured, slide
+from cloth_predict.simulation.ruler import ANNEX_A, measured, slide
 from cloth_predict.tracking.ruler import RulerTracker
 from cloth_predict.video import overlay
 from cloth_predict.video.calibration import Calibration

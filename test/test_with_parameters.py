@@ -13,12 +13,13 @@ from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.errors import ConfigError
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.sigma_points import SigmaPointFilter
-from cloth_predict.integrators import INTEGRATORS, ImplicitEuler
+from cloth_predict.integrators.family import INTEGRATORS
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
+from cloth_predict.integrators.sliding import Sliding
 from cloth_predict.models.ruler import Ruler
 from cloth_predict.models.with_parameters import Parametrised, WithParameters
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.simulate_ruler import ANNEX_A, measured, slide
-from cloth_predict.sliding import Sliding
+from cloth_predict.simulation.ruler import ANNEX_A, measured, slide
 from cloth_predict.tracking.ruler_assembly import (
     STATES,
     first_belief,

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from cloth_predict.command_line.options import Add, count, delay, positive, share, whole
-from cloth_predict.simulate_ruler import ANNEX_A
+from cloth_predict.simulation.ruler import ANNEX_A
 
 
 def add(command: Add) -> None:

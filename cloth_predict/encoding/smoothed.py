@@ -15,7 +15,7 @@ from cloth_predict.errors import ConfigError
 from cloth_predict.evaluation.cases import frames_of
 from cloth_predict.filters.kinematic_bank import KinematicBank
 from cloth_predict.filters.smoothing import Moment, smooth, smooth_bank, stepped, taken
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.observations import VisiblePositions
 from cloth_predict.surface.starting import Start, Starter
 from cloth_predict.tracker import NANOSECONDS, NO_POINTS

@@ -12,10 +12,10 @@ from typing import Literal
 
 import numpy as np
 
-from cloth_predict.exponential import Exponential
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
 from cloth_predict.filters.decoupled import Decoupled
 from cloth_predict.filters.node_update import Seen, updated
+from cloth_predict.integrators.exponential import Exponential
 from cloth_predict.types import Dynamics, FloatArray, Observation
 
 Rates = tuple[FloatArray, FloatArray, FloatArray]

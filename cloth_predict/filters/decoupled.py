@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cloth_predict.exponential import ExponentialTangent
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
 from cloth_predict.filters.linear import of_groups, symmetric
 from cloth_predict.filters.node_update import Seen, updated
+from cloth_predict.integrators.exponential import ExponentialTangent
 from cloth_predict.models.superquadric import GLOBAL, LOCAL
 from cloth_predict.observations import NodePositions
 from cloth_predict.types import (

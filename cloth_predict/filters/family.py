@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 from cloth_predict.config import Config
-from cloth_predict.exponential import Exponential
 from cloth_predict.filters.blocks import Blocks
 from cloth_predict.filters.decoupled import Decoupled
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
@@ -17,7 +16,8 @@ from cloth_predict.filters.least_squares import LeastSquares
 from cloth_predict.filters.recursive_least_squares import RecursiveLeastSquares
 from cloth_predict.filters.reduced_rank import Modes, ReducedRank
 from cloth_predict.filters.sigma_points import SigmaPointFilter
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.exponential import Exponential
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.types import Filter, Integrator
 

@@ -10,7 +10,7 @@ import numpy as np
 from cloth_predict.config import AnchorsConfig, Config
 from cloth_predict.filters.kinematic import POLYNOMIALS, Motion, swing
 from cloth_predict.filters.kinematic_bank import KinematicBank
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.types import BoolArray, Dynamics, FloatArray, IntArray
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.errors import FrameError
 from cloth_predict.filters.sigma_points import SigmaPointFilter, moments
+from cloth_predict.integrators.sliding import Sliding
 from cloth_predict.models.ruler import Ruler
-from cloth_predict.sliding import Sliding
 from cloth_predict.tracking.limits import Health
 from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.tracking.ruler_assembly import (

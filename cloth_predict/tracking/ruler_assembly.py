@@ -8,10 +8,10 @@ import numpy as np
 
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.filters.sigma_points import SigmaPointFilter
+from cloth_predict.integrators.sliding import Sliding
 from cloth_predict.models.ruler import Ruler
 from cloth_predict.models.with_parameters import Parametrised, WithParameters
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.sliding import Sliding
 from cloth_predict.types import FloatArray, Gaussian
 
 STATES = ('x_G', 'y_G', 'L', 'alpha', 'V_x', 'V_y', 'V_alpha', 'L1', 'L2', 'mu')

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.equilibrium import settled
 from cloth_predict.errors import FrameError, UncertainError
+from cloth_predict.surface.equilibrium import settled
 from cloth_predict.tracking.motion import split
 from cloth_predict.tracking.track import Track
 from cloth_predict.types import FloatArray

@@ -12,7 +12,7 @@ from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.config.ruler_video import RulerVideoConfig, VideoConfig
 from cloth_predict.errors import FormatError
 from cloth_predict.formats.files import make_folder, writing
-from cloth_predict.simulate_ruler import ANNEX_A, Shot, Slide, random_shot, slide
+from cloth_predict.simulation.ruler import ANNEX_A, Shot, Slide, random_shot, slide
 from cloth_predict.video import generator
 from cloth_predict.video.files import Writer, frames, rate_of
 from cloth_predict.video.following import VideoFollower

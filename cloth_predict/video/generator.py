@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cloth_predict.config.ruler_video import CameraConfig
-from cloth_predict.simulate_ruler import Slide
+from cloth_predict.simulation.ruler import Slide
 from cloth_predict.types import FloatArray
 from cloth_predict.video.calibration import Calibration
 from cloth_predict.video.files import Frame, Picture

@@ -10,10 +10,10 @@ import numpy as np
 
 from cloth_predict.experiments.goeller2015.runs import CONFIG, RATE, Filmed, seeds
 from cloth_predict.experiments.rows import Experiment, Row, Scope, short
-from cloth_predict.integrators import RungeKutta
+from cloth_predict.integrators.runge_kutta import RungeKutta
+from cloth_predict.integrators.sliding import Sliding
 from cloth_predict.models.ruler import ComplexArray, Ruler
-from cloth_predict.simulate_ruler import ANNEX_A, measured, random_shot
-from cloth_predict.sliding import Sliding
+from cloth_predict.simulation.ruler import ANNEX_A, measured, random_shot
 from cloth_predict.tracking.ruler import RulerTracker
 from cloth_predict.types import FloatArray, Integrator
 

@@ -20,7 +20,7 @@ from cloth_predict.experiments.goeller2015.runs import (
 )
 from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, short
-from cloth_predict.simulate_ruler import ANNEX_A
+from cloth_predict.simulation.ruler import ANNEX_A
 from cloth_predict.types import FloatArray
 
 VIDEO = 2.0

@@ -8,10 +8,10 @@ import numpy as np
 
 from cloth_predict.experiments.goeller2015.runs import CONFIG, Filmed, Run
 from cloth_predict.filters.sigma_points import SigmaPointFilter
-from cloth_predict.integrators import RungeKutta
+from cloth_predict.integrators.runge_kutta import RungeKutta
 from cloth_predict.models.ruler import Ruler
 from cloth_predict.models.with_parameters import Parametrised, WithParameters
-from cloth_predict.simulate_ruler import measured
+from cloth_predict.simulation.ruler import measured
 from cloth_predict.tracking.ruler_assembly import joint_model, observation, process_noise
 
 NO_INPUT = np.zeros(0)

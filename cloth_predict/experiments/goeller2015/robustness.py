@@ -16,7 +16,7 @@ from cloth_predict.experiments.goeller2015.runs import (
     seeds,
 )
 from cloth_predict.experiments.rows import Experiment, Row, Scope, short
-from cloth_predict.simulate_ruler import ANNEX_A, random_shot
+from cloth_predict.simulation.ruler import ANNEX_A, random_shot
 
 VIDEO = 2.0
 """Length of a video [s]."""

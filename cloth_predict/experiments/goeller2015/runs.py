@@ -12,9 +12,9 @@ from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.errors import UncertainError
 from cloth_predict.experiments.rows import Scope
 from cloth_predict.identification.observability import bounds, sensitivities
+from cloth_predict.integrators.sliding import Sliding
 from cloth_predict.models.ruler import Ruler
-from cloth_predict.simulate_ruler import Shot, Slide, measured, slide
-from cloth_predict.sliding import Sliding
+from cloth_predict.simulation.ruler import Shot, Slide, measured, slide
 from cloth_predict.tracking.ruler import RulerTracker
 from cloth_predict.tracking.ruler_assembly import (
     ANGLE,

@@ -10,12 +10,12 @@ from matplotlib.figure import Figure
 from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
-from cloth_predict.integrators import RungeKutta
+from cloth_predict.integrators.runge_kutta import RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_pairs
 from cloth_predict.models.with_parameters import Parametrised, WithParameters
 from cloth_predict.observations import VisiblePositions
-from cloth_predict.simulate import hung_cloth
+from cloth_predict.simulation.recordings import hung_cloth
 from cloth_predict.types import FloatArray, Gaussian
 
 ROWS, COLS = 5, 4

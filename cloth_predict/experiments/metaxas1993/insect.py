@@ -12,11 +12,11 @@ from cloth_predict.experiments.metaxas1993.object import INTERVAL, model
 from cloth_predict.experiments.metaxas1993.ours import Ours, Settings
 from cloth_predict.experiments.metaxas1993.recipe import Recipe
 from cloth_predict.experiments.rows import Experiment, Row, Scope
-from cloth_predict.filming import film
 from cloth_predict.models import rotation
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.joints import Joint
-from cloth_predict.simulate_bodies import INSECT, Moved, insect_scene
+from cloth_predict.simulation.bodies import INSECT, Moved, insect_scene
+from cloth_predict.simulation.filming import film
 from cloth_predict.types import FloatArray
 
 DENSE = (

@@ -14,7 +14,7 @@ from cloth_predict.experiments.metaxas1993.recipe import Recipe, nearest
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.filters.linear import condition
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.models.constraints import Articulated
 from cloth_predict.models.joints import Joints
 from cloth_predict.models.superquadric import GLOBAL, Superquadric

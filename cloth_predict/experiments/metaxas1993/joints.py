@@ -7,9 +7,9 @@ import numpy as np
 from cloth_predict.experiments.metaxas1993.insect import NODES, SEED
 from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, short
-from cloth_predict.integrators import EULER, RungeKutta
+from cloth_predict.integrators.runge_kutta import EULER, RungeKutta
 from cloth_predict.models.constraints import Articulated, drift
-from cloth_predict.simulate_bodies import insect_scene, total
+from cloth_predict.simulation.bodies import insect_scene, total
 from cloth_predict.types import FloatArray
 
 OF_ALPHA = 'without stabilisation C may grow without bounds; a large alpha makes the motion stiff'

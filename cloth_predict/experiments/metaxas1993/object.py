@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cloth_predict.integrators import RK4, RungeKutta
+from cloth_predict.integrators.runge_kutta import RK4, RungeKutta
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.superquadric import Superquadric
 from cloth_predict.models.superquadric_shape import PARAMETERS
-from cloth_predict.simulate_bodies import SOFT, Pull, gripped
+from cloth_predict.simulation.bodies import SOFT, Pull, gripped
 from cloth_predict.types import FloatArray, IntArray
 
 NODES, FRAMES = 123, 20

@@ -13,7 +13,7 @@ import numpy as np
 from cloth_predict.experiments.metaxas1993.recipe import Attach
 from cloth_predict.filters.blocks import BlockGaussian, Blocks
 from cloth_predict.filters.decoupled import Decoupled, position_covariances
-from cloth_predict.integrators import INTEGRATORS
+from cloth_predict.integrators.family import INTEGRATORS
 from cloth_predict.models.superquadric import GLOBAL, LOCAL, ROTATION, TRANSLATION, Superquadric
 from cloth_predict.models.superquadric_shape import PARAMETERS
 from cloth_predict.observations import NodePositions

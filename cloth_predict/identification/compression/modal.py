@@ -9,7 +9,6 @@ from time import perf_counter
 import numpy as np
 
 from cloth_predict.config import Config
-from cloth_predict.equilibrium import settled
 from cloth_predict.errors import ClothPredictError
 from cloth_predict.filters.ekf import ExtendedKalmanFilter
 from cloth_predict.identification.compression.falling import (
@@ -21,11 +20,12 @@ from cloth_predict.identification.compression.falling import (
 )
 from cloth_predict.identification.compression.search import Compression
 from cloth_predict.identification.compression.task import Task
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.modes import linear_modes, motion_modes
 from cloth_predict.models.reduced import Reduced
 from cloth_predict.observations import LinearObservation, VisiblePositions
+from cloth_predict.surface.equilibrium import settled
 from cloth_predict.types import FloatArray, Gaussian, IntArray, Observation, StiffDynamics
 
 EQUAL, COMPRESSED = 'equal', 'compressed'

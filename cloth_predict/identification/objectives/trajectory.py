@@ -12,7 +12,7 @@ from cloth_predict.identification.failing import or_none
 from cloth_predict.identification.objectives.parameters import Space
 from cloth_predict.identification.objectives.physics import Directions, gravity_factors
 from cloth_predict.identification.objectives.sensitivity import StepSlopes
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.implicit import LinearisedSurface
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.surface.topology import Topology

@@ -8,10 +8,11 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from cloth_predict.experiments.plots import over_time, panels, sheets
+from cloth_predict.experiments.gomes2016.pictures import over_time, sheets
+from cloth_predict.experiments.gomes2016.shaken import at_rest, sheet
+from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
-from cloth_predict.experiments.shaken import at_rest, sheet
-from cloth_predict.integrators import RK4, RungeKutta
+from cloth_predict.integrators.runge_kutta import RK4, RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.stiffness import carried
 from cloth_predict.surface.topology import grid

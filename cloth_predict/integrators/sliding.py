@@ -8,7 +8,8 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from cloth_predict.integrators import DenseTangent, RungeKutta
+from cloth_predict.integrators.dense_tangent import DenseTangent
+from cloth_predict.integrators.runge_kutta import RungeKutta
 from cloth_predict.models.differences import central
 from cloth_predict.types import BoolArray, Dynamics, FloatArray
 

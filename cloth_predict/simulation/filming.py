@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cloth_predict.integrators import RK4, RungeKutta
+from cloth_predict.integrators.runge_kutta import RK4, RungeKutta
 from cloth_predict.types import Dynamics, FloatArray, IntArray
 
 Progress = Callable[[float], None]

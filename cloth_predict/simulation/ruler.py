@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from cloth_predict.filming import Progress, frame_stamps
 from cloth_predict.formats.bag import Truth
 from cloth_predict.models.ruler import ANGLE, SPIN, Ruler
+from cloth_predict.simulation.filming import Progress, frame_stamps
 from cloth_predict.types import FloatArray
 
 NEAR = 1e-7

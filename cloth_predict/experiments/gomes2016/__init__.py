@@ -5,7 +5,7 @@ Gomes, A. (2016), Time-varying surface prediction.
 
 from __future__ import annotations
 
-from cloth_predict.experiments import (
+from cloth_predict.experiments.gomes2016 import (
     between,
     compressed,
     dropped,

@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 from matplotlib.axes import Axes
 
-from cloth_predict.experiments.plots import over_time, panels
+from cloth_predict.experiments.gomes2016.pictures import over_time
+from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
 from cloth_predict.identification.compression.falling import RELEASES, STEP
 from cloth_predict.identification.compression.search import Compression, Followed, judged

@@ -10,11 +10,10 @@ import numpy as np
 from cloth_predict.config import Config, load
 from cloth_predict.evaluation.conditioning import condition_numbers
 from cloth_predict.evaluation.judging import WARM_UP
-from cloth_predict.experiments.frames import Frames, Track
-from cloth_predict.experiments.plots import over_time, panels
-from cloth_predict.experiments.recursion import by_the_letter, tracked
-from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
-from cloth_predict.experiments.towel import (
+from cloth_predict.experiments.gomes2016.frames import Frames, Track
+from cloth_predict.experiments.gomes2016.pictures import over_time
+from cloth_predict.experiments.gomes2016.recursion import by_the_letter, tracked
+from cloth_predict.experiments.gomes2016.towel import (
     ALPHA,
     BETA,
     arbitrary,
@@ -23,6 +22,8 @@ from cloth_predict.experiments.towel import (
     recipe_model,
     words,
 )
+from cloth_predict.experiments.plots import panels
+from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import Springs
 from cloth_predict.models.stiffness import carried, lloyd_2007

@@ -11,13 +11,14 @@ from cloth_predict.config import Config
 from cloth_predict.evaluation.projection import project
 from cloth_predict.evaluation.projection_methods import METHODS
 from cloth_predict.evaluation.projection_report import Misregistration
-from cloth_predict.experiments.frames import TS, Frames
-from cloth_predict.experiments.plots import COLOURS, panels
-from cloth_predict.experiments.recursion import EulerStep, followed
+from cloth_predict.experiments.gomes2016.frames import TS, Frames
+from cloth_predict.experiments.gomes2016.pictures import COLOURS
+from cloth_predict.experiments.gomes2016.recursion import EulerStep, followed
+from cloth_predict.experiments.gomes2016.shaken import small_sheet
+from cloth_predict.experiments.gomes2016.simulated import for_noise, shaken
+from cloth_predict.experiments.gomes2016.towel import ALPHA, BETA, fan, frames_of, recipe_model
+from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
-from cloth_predict.experiments.shaken import small_sheet
-from cloth_predict.experiments.simulated import for_noise, shaken
-from cloth_predict.experiments.towel import ALPHA, BETA, fan, frames_of, recipe_model
 from cloth_predict.formats.recording import read
 from cloth_predict.share import find
 from cloth_predict.tracker import NANOSECONDS, Tracker

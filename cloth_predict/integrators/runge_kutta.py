@@ -1,24 +1,13 @@
-"""Steps in time: explicit Runge-Kutta methods as data, and the linearised implicit Euler step.
-
-Each gives the step and the exact Jacobian of the step that it takes.
-"""
+"""Explicit Runge-Kutta methods as data, with the exact Jacobian of the step that they take."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
-from cloth_predict.exponential import Exponential
-from cloth_predict.types import (
-    Dynamics,
-    FloatArray,
-    Integrator,
-    StiffDynamics,
-    Tangent,
-)
+from cloth_predict.integrators.dense_tangent import DenseTangent
+from cloth_predict.types import Dynamics, FloatArray
 
 
 @dataclass(frozen=True)
@@ -118,71 +107,3 @@ def _combine(weights: tuple[float, ...], terms: list[FloatArray]) -> FloatArray 
         if weight:
             total = total + weight * term
     return total
-
-
-@dataclass(frozen=True)
-class ImplicitEuler(Integrator):
-    """Linearised backward Euler: (I - dt J) dx = dt f(x) (Gomes 2016, eq. 3.32 in state form).
-
-    Where the input moves in the step, dt df/du u' joins f, so that a surface carried along with
-    its driven nodes keeps its shape exactly.
-
-    Needs a model that offers the solve (`StiffDynamics`). Stable at steps where an explicit
-    method is not; first order.
-    """
-
-    order: int = 1
-
-    def step(self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float) -> FloatArray:
-        """State after dt [s], shape (dim_x,)."""
-        at = cast('StiffDynamics', model).linearise(x, u)
-        return x + at.change(dt, at.solver(dt))
-
-    def step_tangent(
-        self, model: Dynamics, x: FloatArray, u: FloatArray, dt: float
-    ) -> tuple[FloatArray, Tangent]:
-        """State after dt [s] and its derivative as a map: solves, without ever making F.
-
-        Differentiating (I - dt J~(x)) dx = dt f(x) gives
-        F = I + (I - dt J~)^-1 dt (J + d(J~ dx)/dx): the matrix depends on the state too, and its
-        change along dx belongs to the derivative.
-        """
-        at = cast('StiffDynamics', model).linearise(x, u)
-        solver = at.solver(dt)
-        change = at.change(dt, solver)
-        return x + change, at.tangent(dt, solver, change)
-
-
-@dataclass(frozen=True)
-class DenseTangent:
-    """A derivative given as a matrix, and a way to that by the inputs if any; see `Tangent`."""
-
-    step_jac: FloatArray
-    input_jac: Callable[[], FloatArray] | None = None
-
-    def push(self, columns: FloatArray) -> FloatArray:
-        """Return F C."""
-        return self.step_jac @ columns
-
-    def pull(self, rows: FloatArray) -> FloatArray:
-        """Return W F."""
-        return rows @ self.step_jac
-
-    def sandwich(self, cov: FloatArray) -> FloatArray:
-        """Return F P F'."""
-        return self.step_jac @ cov @ self.step_jac.T
-
-    def drive(self, inputs: FloatArray) -> FloatArray:
-        """Change of the state after the step with its inputs."""
-        if self.input_jac is None:
-            raise ValueError('the derivative by the inputs was not given')
-        return self.input_jac() @ inputs
-
-
-INTEGRATORS: dict[str, Integrator] = {
-    'euler': RungeKutta(EULER),
-    'rk4': RungeKutta(RK4),
-    'implicit_euler': ImplicitEuler(),
-    'exponential': Exponential(),
-}
-"""The choices of `filter.integrator`; a new method is one entry."""

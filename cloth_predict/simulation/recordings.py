@@ -11,14 +11,14 @@ from collections.abc import Callable
 import numpy as np
 from scipy import sparse
 
-from cloth_predict.equilibrium import settled
-from cloth_predict.filming import Progress, film, frame_stamps
 from cloth_predict.formats.bag import Recording, Truth
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.models.springs import grid_springs
-from cloth_predict.simulate_bodies import balloon, insect, insect_labels
-from cloth_predict.simulate_ruler import ruler, ruler_labels
-from cloth_predict.surroundings import Air, Draught, Fan, Gusts, Rail
+from cloth_predict.simulation.bodies import balloon, insect, insect_labels
+from cloth_predict.simulation.filming import Progress, film, frame_stamps
+from cloth_predict.simulation.ruler import ruler, ruler_labels
+from cloth_predict.simulation.surroundings import Air, Draught, Fan, Gusts, Rail
+from cloth_predict.surface.equilibrium import settled
 from cloth_predict.types import FloatArray, IntArray, MarkerSequence
 
 AIR_DENSITY = 1.2

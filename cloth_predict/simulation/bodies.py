@@ -14,12 +14,12 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.transform import Rotation
 
-from cloth_predict.filming import Progress, film, frame_stamps
 from cloth_predict.formats.bag import Truth
 from cloth_predict.models.closed_mesh import ClosedMesh
 from cloth_predict.models.constraints import Articulated, Joint
 from cloth_predict.models.superquadric import ROTATION, TRANSLATION, Superquadric
 from cloth_predict.models.superquadric_shape import PARAMETERS
+from cloth_predict.simulation.filming import Progress, film, frame_stamps
 from cloth_predict.types import FloatArray
 
 Forces = Callable[[FloatArray, float], FloatArray]

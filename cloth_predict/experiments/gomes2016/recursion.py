@@ -12,7 +12,7 @@ from scipy import sparse
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
 from cloth_predict.evaluation.conditioning import condition_number
-from cloth_predict.experiments.frames import TS, Frames, Track
+from cloth_predict.experiments.gomes2016.frames import TS, Frames, Track
 from cloth_predict.filters.gomes2016 import Gomes2016
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.observations import VisiblePositions

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from cloth_predict.config import Config, build
-from cloth_predict.experiments.frames import TS, Frames, Track
-from cloth_predict.experiments.plots import errors, sheets
-from cloth_predict.experiments.recursion import EulerStep, by_the_letter, tracked
-from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
-from cloth_predict.experiments.shaken import (
+from cloth_predict.experiments.gomes2016.frames import TS, Frames, Track
+from cloth_predict.experiments.gomes2016.pictures import errors, sheets
+from cloth_predict.experiments.gomes2016.recursion import EulerStep, by_the_letter, tracked
+from cloth_predict.experiments.gomes2016.shaken import (
     DAMPING,
     INTERVAL,
     SIDE,
@@ -18,6 +17,7 @@ from cloth_predict.experiments.shaken import (
     small_sheet,
     viscous,
 )
+from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
 from cloth_predict.models.stiffness import carried
 from cloth_predict.surface.topology import grid
 

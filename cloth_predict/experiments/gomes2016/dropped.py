@@ -9,20 +9,21 @@ import numpy as np
 
 from cloth_predict.config import Config
 from cloth_predict.evaluation.judging import WARM_UP
-from cloth_predict.experiments.frames import Frames, Track
-from cloth_predict.experiments.plots import over_time, panels
-from cloth_predict.experiments.recursion import EulerStep, by_the_letter, tracked
+from cloth_predict.experiments.gomes2016.frames import Frames, Track
+from cloth_predict.experiments.gomes2016.pictures import over_time
+from cloth_predict.experiments.gomes2016.recursion import EulerStep, by_the_letter, tracked
+from cloth_predict.experiments.gomes2016.shaken import at_rest
+from cloth_predict.experiments.gomes2016.towel import ALPHA, BETA, arbitrary, fan, frames_of, words
+from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
-from cloth_predict.experiments.shaken import at_rest
-from cloth_predict.experiments.towel import ALPHA, BETA, arbitrary, fan, frames_of, words
 from cloth_predict.identification.objectives.parameters import Space
 from cloth_predict.identification.objectives.trajectory import Scenario, Trajectory
 from cloth_predict.identification.optimisers.annealing import anneal
 from cloth_predict.identification.optimisers.gradient import descend
 from cloth_predict.identification.optimisers.result import Callback, Optimiser, Plain, Result
-from cloth_predict.integrators import RK4, RungeKutta
+from cloth_predict.integrators.runge_kutta import RK4, RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
-from cloth_predict.simulate import marker_grid, towel
+from cloth_predict.simulation.recordings import marker_grid, towel
 from cloth_predict.surface.assembly import build_mass_spring, topology_of
 from cloth_predict.types import FloatArray
 

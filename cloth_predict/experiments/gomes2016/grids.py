@@ -7,12 +7,13 @@ from math import inf
 
 import numpy as np
 
-from cloth_predict.experiments.frames import TS, Frames, Track
-from cloth_predict.experiments.plots import over_time, panels
-from cloth_predict.experiments.recursion import EulerStep, by_the_letter, tracked
+from cloth_predict.experiments.gomes2016.frames import TS, Frames, Track
+from cloth_predict.experiments.gomes2016.pictures import over_time
+from cloth_predict.experiments.gomes2016.recursion import EulerStep, by_the_letter, tracked
+from cloth_predict.experiments.gomes2016.shaken import INTERVAL, small_sheet
+from cloth_predict.experiments.gomes2016.simulated import DURATION, blown, config, for_wind, shaken
+from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
-from cloth_predict.experiments.shaken import INTERVAL, small_sheet
-from cloth_predict.experiments.simulated import DURATION, blown, config, for_wind, shaken
 
 OF_R = (
     'process noise, Q 0.001 I, R from I to 1e-5 I: the smaller R, the better; peak MSE 3.5e-3 m² '

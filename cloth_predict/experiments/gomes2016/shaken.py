@@ -9,9 +9,9 @@ from functools import lru_cache
 import numpy as np
 from scipy import sparse
 
-from cloth_predict.integrators import RK4, RungeKutta
+from cloth_predict.integrators.runge_kutta import RK4, RungeKutta
 from cloth_predict.models.mass_spring import MassSpring
-from cloth_predict.simulate import hung_cloth, vertex_areas
+from cloth_predict.simulation.recordings import hung_cloth, vertex_areas
 from cloth_predict.types import FloatArray, read_only
 
 SIDE = 1.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_predict.integrators import ImplicitEuler
+from cloth_predict.integrators.implicit_euler import ImplicitEuler
 from cloth_predict.models.mass_spring import MassSpring
 from cloth_predict.types import FloatArray
 

@@ -14,12 +14,13 @@ import numpy as np
 from cloth_predict.config import Config, load
 from cloth_predict.evaluation.cases import Case, case_of
 from cloth_predict.evaluation.judging import WARM_UP
-from cloth_predict.experiments.frames import TS, Frames, Track, held
-from cloth_predict.experiments.plots import over_time, panels, sheets
-from cloth_predict.experiments.recursion import EulerStep, by_the_letter, tracked
+from cloth_predict.experiments.gomes2016.frames import TS, Frames, Track, held
+from cloth_predict.experiments.gomes2016.pictures import over_time, sheets
+from cloth_predict.experiments.gomes2016.recursion import EulerStep, by_the_letter, tracked
+from cloth_predict.experiments.gomes2016.shaken import DAMPING, STIFFNESS
+from cloth_predict.experiments.gomes2016.simulated import RECIPES
+from cloth_predict.experiments.plots import panels
 from cloth_predict.experiments.rows import Experiment, Row, Scope, figures, short
-from cloth_predict.experiments.shaken import DAMPING, STIFFNESS
-from cloth_predict.experiments.simulated import RECIPES
 from cloth_predict.formats.recording import read
 from cloth_predict.metrics import at_times
 from cloth_predict.models.mass_spring import MassSpring
