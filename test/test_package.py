@@ -17,6 +17,7 @@ import pytest
 
 import cloth_predict
 from cloth_predict.config import ReplayConfig
+from cloth_predict.config.ruler_video import VideoConfig
 
 ROOT = Path(__file__).parents[1]
 LAUNCHED = {'mocap_replay_node', 'ekf_node', 'projector_node'}
@@ -203,12 +204,12 @@ def test_a_wrong_import_is_found(part, source):
     assert [may_import(part, name) for name in imports(source)] == [False]
 
 
-# --- launch file
+# --- launch files
 
 
 @pytest.fixture
-def launched(monkeypatch):
-    """Run the launch file on stand-ins for launch: (default of each argument, started nodes)."""
+def launch(monkeypatch):
+    """Run a launch file on stand-ins for launch: (default of each argument, started nodes)."""
     parts = '', '.actions', '.substitutions', '.parameter_descriptions'
     fake = {top + part: MagicMock() for top in ('launch', 'launch_ros') for part in parts}
     for name, module in fake.items():
@@ -220,14 +221,42 @@ def launched(monkeypatch):
     fake['launch_ros.parameter_descriptions'].ParameterValue.side_effect = (
         lambda value, value_type: (value, value_type)
     )
-    runpy.run_path(str(ROOT / 'launch/predict.launch.py'))['generate_launch_description']()
-    actions = fake['launch.actions'].DeclareLaunchArgument.call_args_list
-    arguments = {call.args[0]: call.kwargs['default_value'] for call in actions}
-    nodes = {
-        call.kwargs['executable']: call.kwargs
-        for call in fake['launch_ros.actions'].Node.call_args_list
+
+    def run(name):
+        runpy.run_path(str(ROOT / 'launch' / name))['generate_launch_description']()
+        actions = fake['launch.actions'].DeclareLaunchArgument.call_args_list
+        arguments = {call.args[0]: call.kwargs.get('default_value') for call in actions}
+        calls = fake['launch_ros.actions'].Node.call_args_list
+        return arguments, {call.kwargs['executable']: call.kwargs for call in calls}
+
+    return run
+
+
+@pytest.fixture
+def launched(launch):
+    return launch('predict.launch.py')
+
+
+@pytest.mark.parametrize('name', sorted(path.name for path in ROOT.glob('launch/*.py')))
+def test_launched_nodes_exist_and_use_declared_arguments(launch, name):
+    arguments, nodes = launch(name)
+    assert set(nodes) <= NODES
+    for node in nodes.values():
+        assert node['package'] == 'cloth_predict'
+        assert node['namespace'] == '${namespace}'
+        assert node['parameters'][0] == '${config}'
+        assert set(re.findall(r'\$\{(\w+)\}', str(node['parameters']))) <= set(arguments)
+
+
+def test_the_video_is_launched_with_its_parameters(launch):
+    arguments, nodes = launch('ruler.launch.py')
+    assert arguments == {'video': None, 'config': None, 'speed': '1.0', 'namespace': ''}
+    assert set(nodes) == {'video_node', 'ruler_node'}
+    kinds = typing.get_type_hints(VideoConfig)
+    assert nodes['video_node']['parameters'][1] == {
+        'video.path': ('${video}', kinds['path']),
+        'video.speed': ('${speed}', kinds['speed']),
     }
-    return arguments, nodes
 
 
 def test_launch_arguments_default_to_what_the_package_brings(launched):
@@ -245,15 +274,8 @@ def test_launch_arguments_default_to_what_the_package_brings(launched):
     assert (ROOT / 'bags/towel_fan').exists()
 
 
-def test_launch_starts_the_three_nodes_with_the_configuration(launched):
-    arguments, nodes = launched
-    assert set(nodes) == LAUNCHED
-    for node in nodes.values():
-        assert node['package'] == 'cloth_predict'
-        assert node['namespace'] == '${namespace}'
-        assert node['parameters'][0] == '${config}'
-        used = re.findall(r'\$\{(\w+)\}', str(node['parameters']))
-        assert set(used) <= set(arguments)
+def test_launch_starts_the_three_nodes(launched):
+    assert set(launched[1]) == LAUNCHED
 
 
 def test_launch_parameters_exist_with_their_types(launched):
@@ -301,7 +323,7 @@ def test_colcon_installs_scripts_where_ros2_run_looks(installed, script):
 def test_colcon_installs_the_share_folder(installed):
     share = installed / 'share/cloth_predict'
     assert (installed / 'share/ament_index/resource_index/packages/cloth_predict').is_file()
-    sources = [ROOT / 'package.xml', ROOT / 'launch/predict.launch.py']
+    sources = [ROOT / 'package.xml', *ROOT.glob('launch/*.py')]
     sources += [*ROOT.glob('config/*.yaml'), *(f for f in ROOT.glob('bags/**/*') if f.is_file())]
     for source in sources:
         assert (share / source.relative_to(ROOT)).read_bytes() == source.read_bytes()
