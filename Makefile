@@ -3,6 +3,7 @@
 
 PYTHON ?= python3
 VENV ?= .venv
+WORKS ?= gomes2016 goeller2015 metaxas1993
 COLCON_VENV := .venv-colcon
 
 # On matrices this small a second thread makes BLAS slower.
@@ -32,8 +33,9 @@ lint: $(READY)  ## Check style, formatting and types
 bench: $(READY)  ## Run every benchmark
 	@set -e; for file in benchmarks/bench_*.py; do echo "== $$file"; $(VENV)/bin/python $$file; done
 
-reproduce: $(READY)  ## Repeat the experiments of Gomes 2016, quickly; results in out/gomes2016
-	$(VENV)/bin/cloth-predict reproduce gomes2016 --quick -o out/gomes2016 $(ARGS)
+reproduce: $(READY)  ## Repeat the experiments of all works, quickly; results in out/WORK
+	@set -e; for work in $(WORKS); do echo "== $$work"; \
+	  $(VENV)/bin/cloth-predict reproduce $$work --quick -o out/$$work $(ARGS); done
 
 clean:  ## Remove all that the other targets made, the environments too
 	rm -rf .venv .venv312 $(COLCON_VENV) build install log out *.egg-info
