@@ -60,6 +60,11 @@ class Tracker:
         return self._memory.latest.track.triangles if self._memory else NO_TRIANGLES
 
     @property
+    def edges(self) -> IntArray:
+        """Neighbours among the nodes, shape (edges, 2). Raises FrameError before the start."""
+        return self._kind.edges(self._track())
+
+    @property
     def belief(self) -> Belief:
         """What the filter believes of the state, after the last frame."""
         belief: Belief = self._track().belief
@@ -86,6 +91,13 @@ class Tracker:
     def estimate(self) -> Surface:
         """Return the surface at the last frame."""
         return self._kind.estimate(self._track())
+
+    def loads(self) -> FloatArray | None:
+        """Return the unknown force [N] on the part of each node, (nodes, 3), as it is believed.
+
+        None where the state has none. Raises FrameError before the start.
+        """
+        return self._kind.loads(self._track())
 
     def predict(self, horizon: float) -> Surface:
         """Return the surface `horizon` [s] after the last frame, by running the model there.

@@ -9,10 +9,12 @@ from cloth_predict.bodies.starting import Starter
 from cloth_predict.bodies.track import BodyTrack, ahead, begin, follow
 from cloth_predict.config import Config
 from cloth_predict.errors import FrameError
+from cloth_predict.models.accelerated import Accelerated
+from cloth_predict.surface.topology import sides_of
 from cloth_predict.tracking.limits import spread
 from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.tracking.track import Frame, Step
-from cloth_predict.types import Surface
+from cloth_predict.types import FloatArray, IntArray, Surface
 
 
 class BodyFollower:
@@ -55,6 +57,24 @@ class BodyFollower:
     def estimate(self, track: BodyTrack) -> Surface:
         """Return the surface at the frame of the track."""
         return _surface(track, track.stamp)
+
+    def edges(self, track: BodyTrack) -> IntArray:
+        """Return the neighbours among the published nodes, shape (edges, 2)."""
+        return np.unique(sides_of(track.triangles).reshape(-1, 2), axis=0)
+
+    def loads(self, track: BodyTrack) -> FloatArray | None:
+        """Return the unknown force [N] on the part of each published node, (nodes, 3), or None.
+
+        It is what gives that part of the mass the acceleration by which the body is pushed.
+        """
+        assembly, mean = track.assembly, track.belief.mean
+        model, shown = assembly.model, assembly.shown
+        if not isinstance(model, Accelerated):
+            return None
+        q, push = mean[: model.body.dim_q], np.zeros(model.body.dim_q)
+        push[model.coordinates] = mean[model.body.dim_x :][: len(model.coordinates)]
+        acceleration = shown.motion(q, np.zeros_like(q), push)[2]
+        return np.asarray(self._config.model.mass * shown.mesh.shares[:, None] * acceleration)
 
     def predict(self, track: BodyTrack, horizon: float) -> tuple[Surface, float]:
         """Return the surface `horizon` [s] ahead, and its sigma [m]. Raises FrameError."""

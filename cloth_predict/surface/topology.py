@@ -74,7 +74,7 @@ def delaunay(points: FloatArray) -> Topology:
     span a surface.
     """
     triangles = _triangulated(points)
-    sides = _sides(triangles)
+    sides = sides_of(triangles)
     edges = np.unique(sides.reshape(-1, 2), axis=0)
     length = _lengths(points, edges)
     # the shortest tree through all points keeps what is left together
@@ -104,7 +104,7 @@ def _mesh(edges: IntArray, flexion: IntArray, triangles: IntArray) -> Topology:
     return Topology({name: pairs.astype(np.int64) for name, pairs in families.items()}, triangles)
 
 
-def _sides(triangles: IntArray) -> IntArray:
+def sides_of(triangles: IntArray) -> IntArray:
     """Edges from corner k to k + 1 of triangles, the lower node first, shape (t, 3, 2)."""
     return np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
 
@@ -130,7 +130,7 @@ def _triangulated(points: FloatArray) -> IntArray:
     for lay_flat in ways + [partial(_unrolled, axis=axis) for axis in range(3)]:
         found = lay_flat(own)
         lacks = _lacking(neighbours, found)
-        length = float(_lengths(points, _sides(found)).mean()) if len(found) else np.inf
+        length = float(_lengths(points, sides_of(found)).mean()) if len(found) else np.inf
         if (lacks, length) < (fewest, side):
             best, fewest, side = found, lacks, length
         if not lacks and lay_flat is _in_plane:
@@ -144,7 +144,7 @@ def _lacking(neighbours: IntArray, triangles: IntArray) -> float:
     """How many pairs, shape (pairs, 2), are no side of a triangle; infinite without any."""
     if not len(triangles):
         return np.inf
-    sides = set(map(tuple, _sides(triangles).reshape(-1, 2).tolist()))
+    sides = set(map(tuple, sides_of(triangles).reshape(-1, 2).tolist()))
     return float(sum(tuple(pair) not in sides for pair in neighbours.tolist()))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Protocol, TypeVar
 
 from cloth_predict.tracking.track import Frame, Step
-from cloth_predict.types import Belief, IntArray, Surface
+from cloth_predict.types import Belief, FloatArray, IntArray, Surface
 
 
 class Followed(Protocol):
@@ -48,6 +48,15 @@ class Follower(Protocol[T]):
 
     def estimate(self, track: T) -> Surface:
         """Return the surface at the frame of the track."""
+
+    def edges(self, track: T) -> IntArray:
+        """Return the neighbours among the nodes, shape (edges, 2)."""
+
+    def loads(self, track: T) -> FloatArray | None:
+        """Return the unknown force [N] on the part of each node, (nodes, 3), as is believed.
+
+        None where the state has none.
+        """
 
     def predict(self, track: T, horizon: float) -> tuple[Surface, float]:
         """Return the surface `horizon` [s] ahead, and its sigma [m]. Raises FrameError."""

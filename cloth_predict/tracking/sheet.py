@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from cloth_predict.config import Config
+from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.surface.starting import Starter
 from cloth_predict.tracking.limits import spread
 from cloth_predict.tracking.motion import NANOSECONDS, ahead, surface, uncertainty
 from cloth_predict.tracking.track import Frame, Step, Track, begin, follow
-from cloth_predict.types import Surface
+from cloth_predict.types import FloatArray, IntArray, Surface
 
 
 class SheetFollower:
@@ -55,6 +56,27 @@ class SheetFollower:
         belief = track.belief
         known = belief.marginals(track.now.layout.rows)
         return surface(track.now, belief.mean, known, track.stamp, 0.0)
+
+    def edges(self, track: Track) -> IntArray:
+        """Return the neighbours among the markers, shape (edges, 2)."""
+        return track.now.topology.edges
+
+    def loads(self, track: Track) -> FloatArray | None:
+        """Return the unknown force [N] on the part of each marker, (markers, 3), or None.
+
+        The forces on the nodes of a mesh between the markers count at those around them, so that
+        the sum is that of all nodes. Nothing is known of driven markers: theirs is 0.
+        """
+        now, layout = track.now, track.now.layout
+        if not isinstance(now.model, Disturbed):
+            return None
+        mean, u = now.belief.mean, now.input(*now.driven.extrapolate(0.0)[:2])
+        rates = slice(now.mesh.dim_x // 2, now.mesh.dim_x)
+        known = now.mesh.f(mean[: now.mesh.dim_x], u)[rates]
+        force = now.mesh.mass3 * (now.model.f(mean, u)[rates] - known)
+        loads = np.zeros((len(layout.markers), 3))
+        loads[layout.free] = layout.interpolation.T @ force.reshape(-1, 3)
+        return loads
 
     def predict(self, track: Track, horizon: float) -> tuple[Surface, float]:
         """Return the surface `horizon` [s] ahead, and its sigma [m]. Raises FrameError."""
