@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cloth_predict.config import Config, build, parse_yaml
+from cloth_predict.config.ruler_video import RulerVideoConfig, build_ruler_video
 from cloth_predict.encoding.container import ENCODING, VERSION, read_encoded
 from cloth_predict.encoding.encode import checksum
-from cloth_predict.encoding.expectation import Expectation
+from cloth_predict.encoding.expectation import Expectation, expecting
 from cloth_predict.encoding.numbers import unpacked, unpacked_residual, unpacked_stamps
 from cloth_predict.encoding.rounding import rounded
 from cloth_predict.errors import FormatError
@@ -28,14 +29,16 @@ Progress = Callable[[int, int], None]
 class Decoded:
     """A recording up to the end of its file, or to the first fault in it.
 
-    markers: as recorded but for the bound [m]; nodes: what the tracker took for each node of the
-    surface, in order; states: what the filter made of each frame, None where there was no surface,
+    config: of the surface, or of the bar in a video; markers: as recorded but for the bound [m];
+    nodes: what the tracker took for each node, in order, of a surface with rows and columns in
+    `shape`; states: what the filter made of each frame, None where there was no surface,
     or none were asked for; fault: what is wrong with the file; empty of a sound one.
     """
 
-    config: Config
+    config: Config | RulerVideoConfig
     markers: MarkerSequence
     nodes: MarkerSequence
+    shape: tuple[int, int]
     max_error: float
     states: tuple[Surface | None, ...] = ()
     fault: str = ''
@@ -62,9 +65,11 @@ def read_markers(
     """
     messages = read_encoded(path)
     header = _header(messages, path)
-    config = build(parse_yaml(header.parameters)['/**']['ros__parameters'], str(path))
+    parameters = parse_yaml(header.parameters)['/**']['ros__parameters']
+    of_bar = 'ruler' in parameters
+    config = (build_ruler_video if of_bar else build)(parameters, str(path))
     labels = tuple(header.labels)
-    expectation = Expectation(config, labels, header.frame_id, header.step, str(path))
+    expectation = expecting(config, labels, header.frame_id, header.step, str(path))
     frames, fault = list[_Frame](), ''
     try:
         for _, message in messages:
@@ -84,6 +89,7 @@ def read_markers(
         config,
         MarkerSequence(at, labels, np.array(positions), np.array(visible), header.frame_id),
         MarkerSequence(at, expectation.nodes, np.array(nodes), np.array(taken), header.frame_id),
+        expectation.shape,
         float(header.max_error),
         found,
         fault,

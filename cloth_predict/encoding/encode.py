@@ -10,6 +10,7 @@ import numpy as np
 
 from cloth_predict import __version__
 from cloth_predict.config import Config, dump
+from cloth_predict.config.ruler_video import RulerVideoConfig
 from cloth_predict.encoding.container import (
     ENCODING,
     FRAMES,
@@ -17,7 +18,7 @@ from cloth_predict.encoding.container import (
     EncodedWriter,
     create_encoded,
 )
-from cloth_predict.encoding.expectation import Expectation
+from cloth_predict.encoding.expectation import Expectation, expecting
 from cloth_predict.encoding.numbers import packed, packed_residual, packed_stamps
 from cloth_predict.encoding.rounding import cheapest, offset_for, rounded
 from cloth_predict.errors import FormatError
@@ -31,7 +32,7 @@ BLOCK = 100
 def write_encoded(
     output: Path,
     markers: MarkerSequence,
-    config: Config,
+    config: Config | RulerVideoConfig,
     max_error: float,
     source: str,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -45,7 +46,7 @@ def write_encoded(
     if stamps.min() < 0 or stamps.max() >= LATEST:
         raise FormatError(f'{source}: a stamp is negative, or more than a message can hold')
     step = step_of(markers, max_error, source)
-    expectation = Expectation(config, markers.labels, markers.frame_id, step, source)
+    expectation = expecting(config, markers.labels, markers.frame_id, step, source)
     with create_encoded(output) as file:
         file.write(
             ENCODING,

@@ -2,16 +2,60 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from cloth_predict.config import Config
+from cloth_predict.config.ruler_video import RulerVideoConfig
+from cloth_predict.encoding.bar import BarExpectation
 from cloth_predict.errors import FrameError
 from cloth_predict.evaluation.cases import split
 from cloth_predict.tracker import NANOSECONDS, Step, Tracker
 from cloth_predict.types import BoolArray, FloatArray, IntArray, MarkerSequence, Surface
 
 
-class Expectation:
+class Expectation(Protocol):
+    """Expects the next frame of markers from the rebuilt ones before it."""
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Labels of the nodes that are followed, in order."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the nodes."""
+
+    def at(self, stamp: int) -> FloatArray:
+        """Multiples of the step that are expected at a stamp [ns], shape (markers, 3)."""
+
+    def take(self, stamp: int, multiples: IntArray, visible: BoolArray) -> Step:
+        """Take the rebuilt frame: multiples of the step, (markers, 3), where visible, (markers,).
+
+        Returns what the tracker made of it.
+        """
+
+    def estimate(self) -> Surface | None:
+        """Return what the filter makes of the last frame; None where it follows nothing."""
+
+
+def expecting(
+    config: Config | RulerVideoConfig,
+    labels: tuple[str, ...],
+    frame_id: str,
+    step: float,
+    source: str,
+) -> Expectation:
+    """Return what expects markers with these labels, of what the configuration describes.
+
+    step [m], of which rebuilt coordinates are multiples. Raises FormatError of `source`.
+    """
+    if isinstance(config, RulerVideoConfig):
+        return BarExpectation(config.ruler, step)
+    return SurfaceExpectation(config, labels, frame_id, step, source)
+
+
+class SurfaceExpectation:
     """Expects the markers of the next frame, as the model predicts them from the rebuilt ones.
 
     What is expected is a multiple of the step, as a rebuilt coordinate is, but no whole one. A
@@ -28,8 +72,7 @@ class Expectation:
             np.zeros(0, np.int64), labels, nothing, nothing[..., 0].astype(bool), frame_id
         )
         nodes, strangers = split(of_file, config, source)
-        self.nodes = nodes.labels
-        """Labels of the nodes, in order."""
+        self.nodes, self.shape = nodes.labels, config.model.shape
         self._column = np.array([_place(labels, label) for label in nodes.labels])
         self._strangers = np.array([_place(labels, label) for label in strangers.labels], int)
         self._tracker, self._step = Tracker(config), step

@@ -11,9 +11,11 @@ import numpy as np
 
 from cloth_predict.commands import keep_source
 from cloth_predict.config import Config, load
+from cloth_predict.config.ruler_video import RulerVideoConfig, load_ruler_video
 from cloth_predict.encoding.decode import Decoded, Progress, read_markers
 from cloth_predict.encoding.encode import write_encoded
 from cloth_predict.encoding.smoothed import smoothed
+from cloth_predict.errors import ConfigError
 from cloth_predict.evaluation.cases import in_order
 from cloth_predict.formats.bag import UNNAMED_FRAME, Recording, create_bag, write_recording
 from cloth_predict.formats.pointcloud import encode_markers, encode_surface
@@ -24,17 +26,37 @@ from cloth_predict.types import MarkerSequence
 UNBOUNDED = 3.0
 """The bound by the noise of a measured coordinate where none is asked for: rounding to it makes as
 much noise as the measurement has."""
+SIZES = {
+    'bag': 'a bag of the markers',
+    'video': 'the video',
+    'pictures': 'its pictures without compression',
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is encoded: markers, their model, and the noise [m] of a measured coordinate.
+
+    sizes: bytes of what they come from, by what that is; faults: what is wrong with it.
+    """
+
+    markers: MarkerSequence
+    config: Config | RulerVideoConfig
+    noise: float
+    sizes: dict[str, int]
+    faults: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Encoded:
-    """How large a recording is, in bytes: encoded, and its markers alone as a bag."""
+    """How large a recording is, in bytes: encoded, and before, by what it was."""
 
     frames: int
     markers: int
     size: int
-    bag_size: int
+    sizes: dict[str, int]
     max_error: float
+    faults: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
         """Return the result for programs."""
@@ -43,16 +65,19 @@ class Encoded:
             'markers': self.markers,
             'max_error_mm': 1e3 * self.max_error,
             'bytes': self.size,
-            'bag_bytes': self.bag_size,
-            'ratio': self.size / self.bag_size,
+            **{f'{what}_bytes': size for what, size in self.sizes.items()},
+            'ratio': self.size / self.sizes['bag'],
+            'faults': list(self.faults),
         }
 
     def text(self) -> str:
         """Return the result for people."""
-        share = self.size / self.bag_size
+        shares = [
+            f'{100 * self.size / size:.2g} % of {SIZES[what]}' for what, size in self.sizes.items()
+        ]
         return (
             f'{self.frames} frames of {self.markers} markers to within {1e3 * self.max_error:.3g} '
-            f'mm, {self.size / 1e3:.1f} kB, {share:.1%} of a bag of the markers'
+            f'mm, {self.size / 1e3:.1f} kB, {", ".join(shares)}'
         )
 
 
@@ -92,15 +117,43 @@ class Rebuilt:
 def encode(
     source: Path, config_path: Path, max_error: float | None, output: Path, progress: Progress
 ) -> Encoded:
-    """Encode a recording's markers with a bound [m], or one that suits the markers' noise."""
+    """Encode a recording's markers with a bound [m], or one that suits the markers' noise.
+
+    Of a video of a sliding bar the markers are the two ends.
+    """
     keep_source(source, output)
-    config = load(config_path)
-    markers = read(source).markers
+    found = (_video if is_video(source) else _recording)(source, config_path)
+    markers = found.markers
     if max_error is None:
-        max_error = UNBOUNDED * config.filter.measurement_noise
-    write_encoded(output, markers, config, max_error, str(source), progress)
+        max_error = UNBOUNDED * found.noise
+    write_encoded(output, markers, found.config, max_error, str(source), progress)
     frames, columns = markers.visible.shape
-    return Encoded(frames, columns, output.stat().st_size, bag_size(markers), max_error)
+    size = output.stat().st_size
+    return Encoded(frames, columns, size, found.sizes, max_error, found.faults)
+
+
+def is_video(source: Path) -> bool:
+    """Whether a recording is one of pictures: MP4, or a folder of PNG files."""
+    return source.suffix.lower() == '.mp4' or any(source.glob('*.png'))
+
+
+def _recording(source: Path, config_path: Path) -> Source:
+    config, markers = load(config_path), read(source).markers
+    return Source(markers, config, config.filter.measurement_noise, {'bag': bag_size(markers)})
+
+
+def _video(source: Path, config_path: Path) -> Source:
+    from cloth_predict.video.ends import ends_in  # OpenCV, an optional extra
+
+    config = load_ruler_video(config_path)
+    markers, faults, pictures = ends_in(source, config)
+    files = [source] if source.is_file() else source.glob('*.png')
+    sizes = {
+        'bag': bag_size(markers),
+        'video': sum(file.stat().st_size for file in files),
+        'pictures': pictures,
+    }
+    return Source(markers, config, config.ruler.position_noise, sizes, faults)
 
 
 def bag_size(markers: MarkerSequence) -> int:
@@ -127,7 +180,10 @@ def decode(
     found = read_markers(source, states, progress)
     markers = found.markers
     if rate is not None:
-        markers = between(found.nodes, config or found.config, rate, progress)
+        by = config or found.config
+        if isinstance(by, RulerVideoConfig):
+            raise ConfigError(f'{source}: a sliding bar; --rate is for surfaces of springs')
+        markers = between(found.nodes, by, rate, progress)
     _write(output, markers, found)
     missing = float(1.0 - markers.visible.mean())
     recorded = len(found.markers)
@@ -156,7 +212,7 @@ def _write(output: Path, markers: MarkerSequence, found: Decoded) -> None:
     if not any(found.states):
         write_recording(output, Recording(markers))
         return
-    frame_id, shape = markers.frame_id or UNNAMED_FRAME, found.config.model.shape
+    frame_id = markers.frame_id or UNNAMED_FRAME
     clouds = [
         (stamp, '/markers', encode_markers(positions, visible, markers.unlabelled))
         for stamp, positions, visible in zip(
@@ -165,7 +221,7 @@ def _write(output: Path, markers: MarkerSequence, found: Decoded) -> None:
     ]
     states = {state.stamp: state for state in found.states if state is not None}
     clouds += [
-        (stamp, '/cloth/estimate', encode_surface(state, *shape))
+        (stamp, '/cloth/estimate', encode_surface(state, *found.shape))
         for stamp, state in states.items()
     ]
     with create_bag(output, markers.labels) as bag:
