@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cloth_predict.config import build
-from cloth_predict.errors import ConfigError
+from cloth_predict.errors import ConfigError, FormatError
 from cloth_predict.evaluation.bodies import by_surface, carried, methods_of, on_surface
 from cloth_predict.evaluation.cases import case_of
 from cloth_predict.evaluation.compare import compare
@@ -166,3 +166,16 @@ def test_there_is_no_best_noise_of_what_does_not_follow_a_body():
     settings = config()
     with pytest.raises(ConfigError, match='ball: no kinematic filter'):
         compare(case_of(sliding_ball(), settings, 'ball'), settings, [0.1], search=True)
+
+
+def test_a_recording_without_a_body_says_why():
+    recording = sliding_ball(truth=False)
+    line = np.linspace(0.0, 1.0, 40)[:, None] * [1.0, 0.2, 0.1]
+    markers = recording.markers
+    flat = MarkerSequence(
+        markers.stamps, markers.labels, np.tile(line, (len(markers), 1, 1)), markers.visible
+    )
+    own = config()
+    case = case_of(Recording(flat), own, 'here')
+    with pytest.raises(FormatError, match=r'^here: no surface yet: all 40 points lie on a line'):
+        compare(case, own, [0.1])

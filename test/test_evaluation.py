@@ -226,6 +226,7 @@ class Sometimes:
 
     associates = False
     counts: dict[str, int] = {}  # noqa: RUF012
+    reason = ''
     UNKNOWN: int | slice = 2
 
     def __init__(self, config: Config) -> None:
@@ -637,6 +638,7 @@ class RandomWalk:
 
     associates = False
     counts: dict[str, int] = {}  # noqa: RUF012
+    reason = ''
 
     def __init__(self, factor: float, walk: float, noise: float) -> None:
         self._belief = Gaussian(np.zeros(18), np.eye(18))

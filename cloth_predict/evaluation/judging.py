@@ -164,7 +164,8 @@ def judge(
     common, complete = _common(known)
     rows = np.asarray(common.any(axis=1), bool)
     if not rows.any():
-        raise FormatError(f'{source}: {_why_nothing(stamps, horizon)}')
+        reasons = [run.reason for run in runs.values() if run.reason and asked.any()]
+        raise FormatError(f'{source}: {[*reasons, _why_nothing(stamps, horizon)][0]}')
     actual, targets = actual[rows], targets[rows]
     interval = int(np.median(np.diff(stamps)))
     answers = {}

@@ -62,6 +62,10 @@ class Predictor(Protocol):
     def counts(self) -> Mapping[str, int]:
         """What became of the frames, where it tells."""
 
+    @property
+    def reason(self) -> str:
+        """Why its latest prediction is unknown, in a line, where it tells."""
+
     def step(
         self,
         stamp: int,
@@ -87,6 +91,7 @@ class Hold:
 
     associates = False
     counts: Mapping[str, int] = {}
+    reason = ''
 
     def __init__(self, config: Config) -> None:
         nodes = config.model.count
@@ -130,6 +135,8 @@ class Kinematic:
 
     associates = False
     counts: Mapping[str, int] = {}
+    reason = ''
+    reason = ''
 
     def __init__(self, config: Config, motion: str, density: float | FloatArray) -> None:
         self._copies = np.size(density)
@@ -205,6 +212,7 @@ class Tracked:
         if kind is not None:
             config = replace(config, filter=replace(config.filter, kind=kind))
         self._tracker, self._ahead = Tracker(config), ahead
+        self.reason = ''
 
     @property
     def counts(self) -> Counter[str]:
@@ -229,7 +237,8 @@ class Tracked:
         """Return what the tracker predicts; unknown where it does not."""
         try:
             surface = self._ahead(self._tracker, horizon)
-        except FrameError:
+        except FrameError as error:
+            self.reason = str(error)
             return Predicted.unknown(self._tracker.nodes)
         return Predicted(surface.position, surface.sigma, self._tracker.triangles)
 

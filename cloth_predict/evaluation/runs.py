@@ -27,7 +27,7 @@ class Run:
     position [m], shape (frames, markers, 3); sigma [m], shape (frames, markers); nis, shape
     (frames,), per degree of freedom; nees, shape (frames, markers), of the estimate by the truth,
     per degree of freedom; NaN where unknown. seconds: what it took; counts: what became of the
-    frames, where the method tells.
+    frames, and reason: why the last prediction that is unknown is so, where the method tells.
     """
 
     position: FloatArray
@@ -36,6 +36,7 @@ class Run:
     nees: FloatArray
     seconds: float
     counts: Mapping[str, int] = field(default_factory=dict)
+    reason: str = ''
 
 
 def follow(
@@ -73,7 +74,7 @@ def follow(
             nees[row] = normalised(now.position - truth[k], now.covariance)
     counts = Counter(predictor.counts)
     return [
-        Run(position[i], sigma[i], nis, nees, float(seconds[i]), counts)
+        Run(position[i], sigma[i], nis, nees, float(seconds[i]), counts, predictor.reason)
         for i in range(len(horizons))
     ]
 
