@@ -19,6 +19,7 @@ from cloth_predict.command_line import (
     encode,
     film,
     identify,
+    overlay,
     project,
     reproduce,
     ruler,
@@ -124,6 +125,7 @@ def _parser() -> argparse.ArgumentParser:
     decode.add(command)
     film.add(command)
     ruler.add(command)
+    overlay.add(command)
     reproduce.add(command)
     return parser
 

@@ -58,8 +58,11 @@ def test_stop_is_told_before_the_bar_rests(graph, tmp_path):
         ('values', 0),
     }
     assert 'mu = 0.3' in last['values', 0].text or 'mu = 0.29' in last['values', 0].text
-    assert len(last['estimate', 0].points) == 5
-    assert {m.action for m in last.values()} == {Marker.ADD}
+    assert len(last['estimate', 0].points) == 8  # four edges
+    # nothing rubs any more
+    assert {key[0] for key, m in last.items() if m.action == Marker.DELETE} == {'friction'}
+    every = [m for heard in graph.heard['ruler/markers'] for m in heard.markers]
+    assert {m.ns for m in every if m.action == Marker.ADD} == {key[0] for key in last}
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,14 @@ from cloth_predict.cli import main
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.config.ruler_video import CameraConfig, RulerVideoConfig, build_ruler_video
 from cloth_predict.errors import ConfigError, FormatError, FrameError
+from cloth_predict.overlay import ESTIMATE, PREDICTION
 from cloth_predict.simulation.ruler import ANNEX_A, measured, slide
 from cloth_predict.tracking.ruler import RulerTracker
 from cloth_predict.video import overlay
 from cloth_predict.video.calibration import Calibration
 from cloth_predict.video.commands import film, follow
 from cloth_predict.video.detector import BarDetector
+from cloth_predict.video.drawing import bgr
 from cloth_predict.video.files import Frame, Writer, frames
 from cloth_predict.video.following import VideoFollower
 from cloth_predict.video.generator import BAR, TABLE, Filming, camera_for, covered, table
@@ -401,8 +403,8 @@ def test_overlay_has_edges_dashes_and_friction(filmed_shot):
     def share(colours, wanted):
         return (np.abs(colours - wanted).max(axis=1) < 60).mean()
 
-    assert share(along(seen.state[:3]), overlay.ESTIMATE) > 0.8
-    assert 0.25 < share(along(seen.rest.stop.mean), overlay.PREDICTION) < 0.75
+    assert share(along(seen.state[:3]), bgr(ESTIMATE)) > 0.8
+    assert 0.25 < share(along(seen.rest.stop.mean), bgr(PREDICTION)) < 0.75
     tails, tips = overlay.friction_arrows(seen).transpose(1, 0, 2)
     later = motion.at(np.array([frame.stamp / 1e9, frame.stamp / 1e9 + 1e-4]))
     at = seen.ruler.contacts(later)

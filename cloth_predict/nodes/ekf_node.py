@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
-from visualization_msgs.msg import Marker
+from visualization_msgs.msg import Marker, MarkerArray
 
 from cloth_predict.errors import FrameError, UncertainError
 from cloth_predict.formats.pointcloud import decode_markers, encode_surface
@@ -17,7 +17,9 @@ from cloth_predict.formats.prediction import Prediction, encode_prediction
 from cloth_predict.nodes._clock import NodeClock
 from cloth_predict.nodes._diagnostics import Diagnostics
 from cloth_predict.nodes._mesh import mesh_marker
+from cloth_predict.nodes._overlay import no_markers, surface_markers
 from cloth_predict.nodes._ros import LATEST_QOS, ConfiguredNode, cloud, nanoseconds, run
+from cloth_predict.overlay import Shown
 from cloth_predict.tracker import Step, Tracker
 from cloth_predict.tracking import live_check
 from cloth_predict.tracking.horizons import (
@@ -37,7 +39,7 @@ DROPPED = {
 
 
 class EkfNode(ConfiguredNode):
-    """Drives a Tracker: markers in, estimate, predictions and mesh out."""
+    """Drives a Tracker: markers in; estimate, predictions, mesh and augmented view out."""
 
     def __init__(self, **options: object) -> None:
         super().__init__('ekf_node', **options)
@@ -54,6 +56,7 @@ class EkfNode(ConfiguredNode):
         self._predictions = {topic: self.publisher(PointCloud2, topic) for topic in self._horizons}
         self._estimate = self.publisher(PointCloud2, 'cloth/estimate')
         self._mesh = self.create_publisher(Marker, 'cloth/mesh', 1)  # as RViz asks for it
+        self._overlay = self.create_publisher(MarkerArray, 'cloth/markers', 10)
         self._diagnostics = Diagnostics(self, self._values, self._findings)
         self.subscribe(PointCloud2, 'markers', self._on_markers)
         if self.config.horizon_mode == 'vsync':
@@ -87,8 +90,10 @@ class EkfNode(ConfiguredNode):
             self._diagnostics.counts['waited'] += 1
         elif self._tracker.started:
             found = self._predict(begin, age)
+            self._show(stamp, found.get(PREDICTION))
         else:
             self._health, self._refused = self._tracker.health(), {}
+            self._show(stamp, None)
         latency = time.perf_counter() - begin
         if step.outcome != 'rewound':  # the check takes frames in their order
             self._check.measured(stamp, step.positions, step.visible)
@@ -140,6 +145,16 @@ class EkfNode(ConfiguredNode):
         triangles = self._tracker.triangles
         if len(triangles) and self._mesh.get_subscription_count():
             self._mesh.publish(mesh_marker(surface, triangles, self.config.frame))
+
+    def _show(self, stamp: int, prediction: Surface | None) -> None:
+        if not self._overlay.get_subscription_count():
+            return
+        if not self._tracker.started:
+            self._overlay.publish(no_markers(stamp, self.config))
+            return
+        horizon, health = self._horizons[PREDICTION], self._health
+        shown = Shown.of(self._tracker, prediction, horizon, health)
+        self._overlay.publish(surface_markers(shown, self.config))
 
     def _publish(self, publisher: Publisher, surface: Surface) -> None:
         points = encode_surface(surface, *self.config.model.shape)

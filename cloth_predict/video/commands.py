@@ -7,17 +7,25 @@ from pathlib import Path
 
 import numpy as np
 
+from cloth_predict import config as configuration
 from cloth_predict.config import dump
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.config.ruler_video import RulerVideoConfig, VideoConfig
-from cloth_predict.errors import FormatError
+from cloth_predict.errors import FormatError, FrameError
+from cloth_predict.evaluation.cases import ahead, split
 from cloth_predict.formats.files import make_folder, writing
+from cloth_predict.formats.recording import read
+from cloth_predict.overlay import Shown, upwards
 from cloth_predict.simulation.ruler import ANNEX_A, Shot, Slide, random_shot, slide
+from cloth_predict.tracker import NANOSECONDS, Tracker
+from cloth_predict.types import IntArray
 from cloth_predict.video import generator
 from cloth_predict.video.files import Writer, frames, rate_of
 from cloth_predict.video.following import VideoFollower
 from cloth_predict.video.overlay import augmented
 from cloth_predict.video.report import RulerReport
+from cloth_predict.video.surface import augmented as of_surface
+from cloth_predict.video.view import View, camera_for
 
 COMPRESSED = 0.25
 """Sigma of a centre [px] in a picture that was compressed."""
@@ -77,6 +85,66 @@ def film(path: Path, shot: str, how: generator.Filming, seed: int) -> tuple[int,
     with writing(beside):
         beside.write_text(dump(config) + _truth(let_go, motion), encoding='utf-8')
     return count, beside
+
+
+def overlay(
+    source: Path,
+    config_path: Path,
+    output: Path,
+    fps: float,
+    view: View | None,
+    progress: Callable[[int, int], None],
+) -> tuple[int, str]:
+    """Follow the surface of a recording and write the augmented view of it.
+
+    Of the frames of the recording the latest one is shown at each time of the video. Returns the
+    number of frames of the video, and what was lacking for a surface, if there was none. Raises
+    FormatError.
+    """
+    if output.exists():
+        raise FormatError(f'{output}: exists; not overwritten')
+    config = configuration.load(config_path)
+    with Writer(output, fps) as writer:
+        markers, strangers = split(read(source).markers, config, str(source))
+        shown_for = repeats(markers.stamps, fps)
+        every = markers.beside(strangers)
+        camera = camera_for(every.positions[every.visible], upwards(config), view)
+        tracker = Tracker(config)
+        for k, stamp in enumerate(markers.stamps.tolist()):
+            points = strangers.positions[k][strangers.visible[k]]
+            tracker.step(stamp, markers.positions[k], markers.visible[k], points)
+            if shown_for[k]:
+                time = (stamp - int(markers.stamps[0])) / NANOSECONDS
+                seen = every.positions[k][every.visible[k]]
+                picture = of_surface(known(tracker), seen, time, camera)
+                for _ in range(shown_for[k]):
+                    writer.write(picture)
+            progress(1, len(markers))
+    return int(shown_for.sum()), '' if tracker.started else tracker.health().text
+
+
+def repeats(stamps: IntArray, fps: float) -> IntArray:
+    """How often each frame at stamps [ns] is shown in a video, shape (frames,).
+
+    A frame that is not later than all before it is not.
+    """
+    latest = np.flatnonzero(ahead(stamps))
+    count = int((stamps[latest[-1]] - stamps[0]) / NANOSECONDS * fps + 1e-6) + 1
+    times = stamps[0] + np.rint(np.arange(count) * NANOSECONDS / fps)
+    shown = latest[np.searchsorted(stamps[latest], times, side='right') - 1]
+    return np.bincount(shown, minlength=len(stamps))
+
+
+def known(tracker: Tracker) -> Shown | None:
+    """What a tracker knows now and at its horizon; None where it has no surface."""
+    if not tracker.started:
+        return None
+    horizon = tracker.config.horizon
+    try:
+        prediction = tracker.predict(horizon)
+    except FrameError:
+        prediction = None
+    return Shown.of(tracker, prediction, horizon, tracker.health())
 
 
 def _truth(shot: Shot, motion: Slide) -> str:

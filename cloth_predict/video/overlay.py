@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from cloth_predict.overlay import ESTIMATE, FORCE, PREDICTION, dashes, polygon
 from cloth_predict.types import FloatArray
 from cloth_predict.video.calibration import Calibration
+from cloth_predict.video.drawing import arrows, lines, words
 from cloth_predict.video.files import Picture
 from cloth_predict.video.following import Seen
-from cloth_predict.video.opencv import cv2
 
-ESTIMATE, PREDICTION, FORCE, INK = (0, 0, 255), (255, 80, 0), (0, 220, 255), (20, 20, 20)
-"""Colours: blue, green, red."""
 WIDTH = 0.04
 """Width at which the bar is drawn [m]; no frame tells it."""
 ARROW = 0.15
 """Length of an arrow [m] by friction by mass [m/s^2]."""
-DASH = 8.0
-"""Length of a dash, and of the gap after it [px]."""
-SHIFT = 4
-"""Binary digits of a pixel's fraction, as OpenCV draws."""
+DASH = 0.07
+"""Length of a dash, and of the gap after it [m]."""
 ROW = 18
 
 
@@ -31,17 +28,21 @@ def augmented(seen: Seen, calibration: Calibration) -> Picture:
     picture = seen.frame.picture.copy()
     if seen.state is None or seen.ruler is None:
         return picture
-    length = float(seen.ruler.L)
-    if seen.certain_rest:
-        _dashed(picture, calibration.to_pixels(outline(seen.certain_rest.stop.mean, length)))
-    edges = calibration.to_pixels(outline(seen.state[:3], length))
-    cv2.polylines(picture, [_fine(edges)], True, ESTIMATE, 2, cv2.LINE_AA, SHIFT)
-    for tail, tip in calibration.to_pixels(friction_arrows(seen)):
-        cv2.arrowedLine(picture, _point(tail), _point(tip), FORCE, 2, cv2.LINE_AA, SHIFT, 0.2)
+    here = polygon(outline(seen.state[:3], float(seen.ruler.L)))
+    for segments, colour in ((dashed_rest(seen), PREDICTION), (here, ESTIMATE)):
+        lines(picture, calibration.to_pixels(segments), colour, 2)
+    arrows(picture, calibration.to_pixels(friction_arrows(seen)), FORCE, 2)
     for row, line in enumerate(reversed(told(seen))):
-        place = (8, picture.shape[0] - 10 - ROW * row)
-        cv2.putText(picture, line, place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, INK, 1, cv2.LINE_AA)
+        words(picture, line, (8, picture.shape[0] - 10 - ROW * row))
     return picture
+
+
+def dashed_rest(seen: Seen) -> FloatArray:
+    """Dashes [m] round the place of rest, shape (d, 2, 2); none until it is known."""
+    if seen.certain_rest is None or seen.ruler is None:
+        return np.zeros((0, 2, 2))
+    there = outline(seen.certain_rest.stop.mean, float(seen.ruler.L))
+    return dashes(polygon(there), DASH)
 
 
 def outline(pose: FloatArray, length: float) -> FloatArray:
@@ -69,22 +70,3 @@ def told(seen: Seen) -> list[str]:
     if seen.certain_rest:
         lines.append(f'rests at {seen.certain_rest.time:.2f} s')
     return lines
-
-
-def _dashed(picture: Picture, corners: FloatArray) -> None:
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        reach = float(np.linalg.norm(end - start))
-        way = (end - start) / max(reach, 1.0)
-        for begin in np.arange(0.0, reach, 2.0 * DASH):
-            dash = [start + way * begin, start + way * min(begin + DASH, reach)]
-            tail, tip = (_point(point) for point in dash)
-            cv2.line(picture, tail, tip, PREDICTION, 2, cv2.LINE_AA, SHIFT)
-
-
-def _fine(points: FloatArray) -> FloatArray:
-    return np.asarray(np.rint(points * 2**SHIFT).astype(np.int32))
-
-
-def _point(point: FloatArray) -> tuple[int, int]:
-    u, v = _fine(point).tolist()
-    return u, v
