@@ -83,6 +83,7 @@ setup(
             'mocap_replay_node = cloth_predict.nodes.start:mocap_replay_node',
             'ekf_node = cloth_predict.nodes.start:ekf_node',
             'projector_node = cloth_predict.nodes.start:projector_node',
+            'rest_node = cloth_predict.nodes.start:rest_node',
             'video_node = cloth_predict.nodes.start:video_node',
             'ruler_node = cloth_predict.nodes.start:ruler_node',
         ],

@@ -16,6 +16,7 @@ from cloth_predict.tracking.follower import Follower
 from cloth_predict.tracking.limits import Health, judge, require_certain
 from cloth_predict.tracking.motion import NANOSECONDS
 from cloth_predict.tracking.rewind import Entry, Memory
+from cloth_predict.tracking.settling import Rest
 from cloth_predict.tracking.sheet import SheetFollower
 from cloth_predict.tracking.track import Frame, Step
 from cloth_predict.types import Belief, BoolArray, FloatArray, IntArray, Surface
@@ -109,6 +110,14 @@ class Tracker:
         found, self._sigma = self._kind.predict(self._track(), horizon)
         require_certain(self._sigma, self.config.limits)
         return found
+
+    def rest(self) -> Rest:
+        """Return when and in which shape the motion ends, by the parameters `rest.`.
+
+        Raises FrameError where there is no surface yet, or none of springs, and its kind
+        UncertainError where no end is in sight.
+        """
+        return self._kind.rest(self._track())
 
     def health(self) -> Health:
         """How well the surface is known: by the last prediction, and the markers in view."""

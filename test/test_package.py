@@ -21,7 +21,7 @@ from cloth_predict.config.ruler_video import VideoConfig
 
 ROOT = Path(__file__).parents[1]
 LAUNCHED = {'mocap_replay_node', 'ekf_node', 'projector_node'}
-NODES = {*LAUNCHED, 'video_node', 'ruler_node'}
+NODES = {*LAUNCHED, 'rest_node', 'video_node', 'ruler_node'}
 
 
 # --- metadata

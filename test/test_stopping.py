@@ -1,24 +1,17 @@
-"""Where and when motions end: a bar against closed forms and draws; bad frames; a sheet."""
+"""Where and when motions end: a bar against closed forms and draws; bad frames."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from cloth_predict.config import build
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.errors import ConfigError, FrameError, UncertainError
-from cloth_predict.integrators.runge_kutta import RungeKutta
 from cloth_predict.integrators.sliding import Sliding
 from cloth_predict.simulation.ruler import ANNEX_A, measured, slide
-from cloth_predict.surface.assembly import build_mass_spring, rest_shape
 from cloth_predict.tracking.ruler import RulerTracker
 from cloth_predict.tracking.ruler_assembly import first_belief, joint_model
-from cloth_predict.tracking.settling import rest
-from cloth_predict.tracking.sheet import SheetFollower
 from cloth_predict.tracking.stopping import Stop, at_rest
-from cloth_predict.tracking.track import Frame
 from cloth_predict.types import Gaussian
 
 CONFIG = RulerConfig(g=10.0)
@@ -243,69 +236,3 @@ def test_the_first_frames_are_filtered_again_from_what_they_told():
         other.step(frame * FRAME, seen)
     np.testing.assert_array_equal(tracker.belief.mean, other.belief.mean)
     np.testing.assert_array_equal(tracker.belief.cov, other.belief.cov)
-
-
-# --- a sheet
-
-
-def sheet(**filter_settings):
-    return build(
-        {
-            'model': {'rows': 3, 'cols': 3, 'width': 0.3, 'height': 0.4, 'mass': 0.1,
-                      'stiffness_structural': 200.0, 'stiffness_shear': 50.0,
-                      'stiffness_flexion': 20.0, 'damping': 0.2},
-            'anchors': {'nodes': [0, 1, 2]},
-            'force': filter_settings.pop('force', {'kind': 'none'}),
-            'filter': {'process_noise': 1e-6, 'measurement_noise': 3e-4, 'max_step': 0.005,
-                       'predict_step': 0.02, **filter_settings},
-        },
-        'test',
-    )  # fmt: skip
-
-
-def swung(config, frames, duration=0.5):
-    """Track of a sheet let go 0.6 rad from hanging; its nodes as they were, every 10 ms."""
-    flat = rest_shape(config.model)
-    mesh = build_mass_spring(config, flat)
-    u = mesh.input(flat[mesh.driven])
-    tilted = Rotation.from_rotvec([0.6, 0.0, 0.0]).apply(flat)
-    x, nodes = np.append(tilted[3:].ravel(), np.zeros(18)), []
-    for _ in range(round(100 * duration)):
-        nodes.append(np.concatenate([flat[:3], x[:18].reshape(-1, 3)]))
-        for _ in range(2):
-            x = RungeKutta().step(mesh, x, u, 0.005)
-    rng, follower, track = np.random.default_rng(3), SheetFollower(config), None
-    for k in range(frames):
-        z = nodes[k] + rng.normal(0, 3e-4, (9, 3))
-        frame = Frame(10 * k * MS, z, np.ones(9, bool), np.zeros((0, 3)))
-        track, _ = follower.start(frame) if track is None else follower.follow(track, frame)
-    return track, np.array(nodes)
-
-
-def test_a_sheet_rests_when_and_in_the_shape_that_it_does():
-    config = sheet()
-    track, nodes = swung(config, 100, 8.0)
-    found = rest(track, config)
-    away = np.linalg.norm(nodes - found.position, axis=2).max(axis=1)
-    true = 0.01 * (np.flatnonzero(away > 0.005)[-1] + 1)
-    # the implicit step of 20 ms damps a little by itself
-    assert 0.99 + found.time == pytest.approx(true, abs=0.1)
-    assert 0 <= found.time_sigma < 0.1
-    still = np.append(found.position[3:].ravel(), np.zeros(18))
-    u = track.now.input(found.position[:3], np.zeros((3, 3)))
-    assert np.abs(track.now.mesh.f(still, u)).max() < 1e-6  # m/s^2: no force is left
-    assert found.covariance.shape == (6, 3, 3)
-
-
-def test_a_sheet_that_is_not_at_rest_in_time_has_no_end():
-    config = sheet()
-    track, _ = swung(config, 20)
-    with pytest.raises(UncertainError, match=r'^no end of the motion within 1 s: markers are'):
-        rest(track, config, longest=1.0)
-
-
-def test_under_forces_that_last_there_is_no_end():
-    config = sheet(force={'kind': 'ornstein_uhlenbeck', 'sigma': 1.0, 'tau': 1.0})
-    track, _ = swung(config, 20)
-    with pytest.raises(UncertainError, match=r'^no end of the motion within 3 s'):
-        rest(track, config, longest=3.0)

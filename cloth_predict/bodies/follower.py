@@ -13,6 +13,7 @@ from cloth_predict.models.accelerated import Accelerated
 from cloth_predict.surface.topology import sides_of
 from cloth_predict.tracking.limits import spread
 from cloth_predict.tracking.motion import NANOSECONDS
+from cloth_predict.tracking.settling import Rest
 from cloth_predict.tracking.track import Frame, Step
 from cloth_predict.types import FloatArray, IntArray, Surface
 
@@ -86,6 +87,13 @@ class BodyFollower:
         if not np.isfinite(found.position).all():
             raise FrameError('the prediction is not finite')
         return found, spread(found, np.arange(len(found.position)))
+
+    def rest(self, track: BodyTrack) -> Rest:
+        """A body tells none: raises FrameError."""
+        raise FrameError(
+            f'a body (model.kind {self._config.model.kind}) tells no rest, only a surface of '
+            'springs does'
+        )
 
 
 def _surface(track: BodyTrack, stamp: int) -> Surface:

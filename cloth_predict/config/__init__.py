@@ -16,6 +16,7 @@ from cloth_predict.config.build import (
 )
 from cloth_predict.config.checks import misfit
 from cloth_predict.config.projector import ProjectorConfig
+from cloth_predict.config.rest import RestConfig
 from cloth_predict.config.schema import (
     AnchorsConfig,
     AssociationConfig,
@@ -43,6 +44,7 @@ __all__ = [
     'ModelConfig',
     'ProjectorConfig',
     'ReplayConfig',
+    'RestConfig',
     'WindConfig',
     'build',
     'build_group',

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from cloth_predict.config.body import BodyConfig
 from cloth_predict.config.parameter import param
 from cloth_predict.config.projector import ProjectorConfig
+from cloth_predict.config.rest import RestConfig
 
 
 @dataclass(frozen=True)
@@ -428,6 +429,7 @@ class Config:
     filter: FilterConfig = FilterConfig()
     association: AssociationConfig = AssociationConfig()
     limits: LimitsConfig = LimitsConfig()
+    rest: RestConfig = field(default_factory=RestConfig)
     baseline: BaselineConfig = BaselineConfig()
     replay: ReplayConfig = ReplayConfig()
     projector: ProjectorConfig = field(default_factory=ProjectorConfig)

@@ -1,4 +1,4 @@
-"""A prediction as a live message: the surface, and when it was measured and made."""
+"""A prediction as a live message: the surface, and when it was measured and made; or at rest."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from cloth_predict.types import FloatArray, Surface
 
 END = tuple(f'{prefix}{axis}_end' for prefix in ('', 'v') for axis in 'xyz')
 """Position and velocity at the end of the projector's frame."""
+RESTING = ('x', 'y', 'z', 'sigma')
+"""What is told of a point of a surface at rest."""
 TIMES = ('horizon', 'received', 'filtered')
 """Seconds after the capture of the markers: the stamp, their arrival, the end of filtering."""
 
@@ -61,6 +63,16 @@ def encode_prediction(prediction: Prediction, rows: int, cols: int) -> NDArray[n
             points[name] = values.reshape(rows, cols)
     for name in TIMES:
         points[name] = getattr(prediction, name)
+    return points
+
+
+def encode_rest(surface: Surface, time_sigma: float, rows: int, cols: int) -> NDArray[np.void]:
+    """Pack a surface at rest as an organised cloud, shape (rows, cols), with sigma [s] of when."""
+    whole = encode_surface(surface, rows, cols)
+    points = np.empty((rows, cols), [(name, '<f4') for name in (*RESTING, 'time_sigma')])
+    for name in RESTING:
+        points[name] = whole[name]
+    points['time_sigma'] = time_sigma
     return points
 
 

@@ -24,6 +24,11 @@ def projector_node() -> int:
     return _start('projector_node')
 
 
+def rest_node() -> int:
+    """Run the rest node."""
+    return _start('rest_node')
+
+
 def video_node() -> int:
     """Run the video node."""
     return _start('video_node')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, TypeVar
 
+from cloth_predict.tracking.settling import Rest
 from cloth_predict.tracking.track import Frame, Step
 from cloth_predict.types import Belief, FloatArray, IntArray, Surface
 
@@ -60,3 +61,6 @@ class Follower(Protocol[T]):
 
     def predict(self, track: T, horizon: float) -> tuple[Surface, float]:
         """Return the surface `horizon` [s] ahead, and its sigma [m]. Raises FrameError."""
+
+    def rest(self, track: T) -> Rest:
+        """Return when and in which shape the motion ends. Raises FrameError."""

@@ -9,6 +9,7 @@ from cloth_predict.models.disturbed import Disturbed
 from cloth_predict.surface.starting import Starter
 from cloth_predict.tracking.limits import spread
 from cloth_predict.tracking.motion import NANOSECONDS, ahead, surface, uncertainty
+from cloth_predict.tracking.settling import Rest, rest
 from cloth_predict.tracking.track import Frame, Step, Track, begin, follow
 from cloth_predict.types import FloatArray, IntArray, Surface
 
@@ -83,3 +84,7 @@ class SheetFollower:
         mean, cov = ahead(track.now, horizon, self._config)
         found = surface(track.now, mean, cov, track.stamp, horizon)
         return found, spread(found, track.now.layout.free)
+
+    def rest(self, track: Track) -> Rest:
+        """Return when and in which shape the motion ends. Raises FrameError."""
+        return rest(track, self._config)
