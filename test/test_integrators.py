@@ -97,6 +97,15 @@ def test_implicit_euler_on_a_linear_model_is_the_backward_step():
     np.testing.assert_allclose(step_jac, backward, atol=1e-14)  # rounding
 
 
+def test_the_midpoint_step_damps_no_oscillation_and_the_first_order_one_does():
+    # x'' = -w^2 x, with w dt = 0.5; backward Euler divides by 1 - i w dt in each step
+    model, x = Linear(np.array([[0.0, 1.0], [-25.0, 0.0]])), np.array([0.0, 5.0])
+    for name, left in (('implicit_midpoint', 1.0), ('implicit_euler', 1.25**-20)):
+        after = run(INTEGRATORS[name], model, x, NO_INPUT, 0.1, 40)
+        amplitude = np.hypot(after[0], after[1] / 5.0)
+        assert amplitude == pytest.approx(left, rel=1e-12)  # rounding
+
+
 @pytest.mark.parametrize('disturbed', [False, True, 'air'])
 @pytest.mark.parametrize('rest', [(0.6, 0.95), (1.05, 1.6), (0.6, 1.6)])
 @pytest.mark.parametrize('name', ON_SURFACES)

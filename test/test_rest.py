@@ -84,7 +84,7 @@ def last_far(nodes, shape, near=0.005):
 # --- the end of a motion
 
 
-@pytest.mark.parametrize('damping', [0.2, 0.1])
+@pytest.mark.parametrize('damping', [0.2, 0.1, 0.02])
 def test_a_sheet_rests_when_and_in_the_shape_that_it_does(damping):
     config = sheet(model={'damping': damping})
     tracker, nodes = followed(config, 100, damping), swing(8.0, damping)
@@ -308,7 +308,7 @@ def test_the_rest_is_told_before_it_and_no_more_after_it(graph):
     graph.until(lambda: float(values(graph, '/rest_node').get('time_to_rest', 1.0)) == 0.0)
     ends = np.array(stamps(live.rests)) / 1e9
     assert ends == pytest.approx(np.full(len(ends), true), abs=0.1)
-    assert len(ends) <= true / PERIOD + 1  # one each period, and none once it rests
+    assert len(ends) <= true / PERIOD  # one each period, and none once it rests
 
 
 def test_a_recording_that_plays_again_is_told_again(graph):
@@ -336,7 +336,7 @@ def test_bad_frames_are_dropped_and_counted(graph):
 def test_why_there_is_no_rest_is_told(graph):
     live = Live(graph, **{f'force.{name}': value for name, value in FORCES.items()})
     live.told('no surface yet: no frame yet')
-    live.send(*frames(0, 20))
+    live.send(*frames(0, 60))
     live.told('no rest: no end of the motion: where it rests, the noise and the unknown forces')
     assert not live.rests
 

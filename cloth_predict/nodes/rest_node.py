@@ -41,7 +41,7 @@ class RestNode(ConfiguredNode):
         self._diagnostics = Diagnostics(self, self._values, self._findings)
         self._intake = Intake(self, self._tracker, self._diagnostics)
         self._took = 0.0
-        self._forget()
+        self._begin(0)
         self.subscribe(PointCloud2, 'markers', self._on_markers, PATIENT_QOS)
 
     def configure(self, values: dict[str, Any]) -> None:
@@ -51,9 +51,9 @@ class RestNode(ConfiguredNode):
         if self.config.model.is_body:
             raise ConfigError(f'{self.get_name()}: model.kind: a {kind} tells no rest')
 
-    def _forget(self) -> None:
-        """Begin anew, as with another recording."""
-        self._due: int | None = None
+    def _begin(self, stamp: int) -> None:
+        """Begin anew, as with another recording; at first nothing is known of velocities."""
+        self._due = stamp + round(1e9 * self.config.rest.period)
         self._found: Rest | None = None
         self._told: Rest | None = None
         self._doubt = ''
@@ -64,8 +64,8 @@ class RestNode(ConfiguredNode):
         if step is None:
             return
         if step.outcome in ('started', 'restarted', 'waiting'):
-            self._forget()
-        elif self._due is None or stamp >= self._due:
+            self._begin(stamp)
+        elif stamp >= self._due:
             self._look(stamp)
         self._diagnostics.frame(time.perf_counter() - begin)
 
