@@ -276,9 +276,10 @@ def test_files_that_are_no_frames_are_named(tmp_path):
     'call',
     [
         "from cloth_predict.cli import main; sys.exit(main(['film', '-o', 'absent/x.mp4']))",
+        "from cloth_predict.cli import main; sys.exit(main('overlay b -c c -o x.mp4'.split()))",
         'from cloth_predict.nodes.start import ruler_node; sys.exit(ruler_node())',
     ],
-    ids=['command', 'node'],
+    ids=['film', 'overlay', 'node'],
 )
 def test_without_opencv_one_line_says_what_to_install(call):
     if 'node' in call:

@@ -6,7 +6,7 @@ import argparse
 import warnings
 from pathlib import Path
 
-from cloth_predict.command_line.options import Add, counted, positive, progress_bar
+from cloth_predict.command_line.options import Add, counted, progress_bar, rate
 from cloth_predict.errors import ClothPredictWarning
 
 
@@ -18,14 +18,22 @@ def add(command: Add) -> None:
     parser.add('bag', type=Path, help='recording')
     parser.config()
     parser.add('-o', '--output', type=Path, required=True, help='.mp4 file, or folder of PNGs')
-    parser.add('--fps', type=positive, default=25.0, metavar='HZ', help='of the video; default 25')
+    parser.add('--fps', type=rate, default=25.0, metavar='HZ', help='of the video; default 25')
     parser.add(
         '--view',
-        type=float,
+        type=angle,
         nargs=2,
         metavar=('AZIMUTH', 'ELEVATION'),
         help='direction from which it is seen, in degrees; default: at its broad side',
     )
+
+
+def angle(text: str) -> float:
+    """Return an angle [degrees]."""
+    value = float(text)
+    if not abs(value) <= 360.0:
+        raise argparse.ArgumentTypeError(f'{text} is no angle from -360 to 360 degrees')
+    return value
 
 
 def _overlay(options: argparse.Namespace) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -101,41 +102,46 @@ def overlay(
     number of frames of the video, and what was lacking for a surface, if there was none. Raises
     FormatError.
     """
-    if output.exists():
+    if os.path.lexists(output):
         raise FormatError(f'{output}: exists; not overwritten')
     config = configuration.load(config_path)
     with Writer(output, fps) as writer:
         markers, strangers = split(read(source).markers, config, str(source))
-        shown_for = repeats(markers.stamps, fps)
-        every = markers.beside(strangers)
-        camera = camera_for(every.positions[every.visible], upwards(config), view)
-        tracker = Tracker(config)
-        for k, stamp in enumerate(markers.stamps.tolist()):
+        every, stamps = markers.beside(strangers), markers.stamps
+        known = every.positions[every.visible & np.isfinite(every.positions).all(axis=2)]
+        if not len(known):
+            raise FormatError(f'{source}: no marker is visible in any frame')
+        camera = camera_for(known, upwards(config), view)
+        tracker, count, found = Tracker(config), 0, False
+        for k, times in enumerate(repeats(stamps, fps, config.filter.max_gap)):
             points = strangers.positions[k][strangers.visible[k]]
-            tracker.step(stamp, markers.positions[k], markers.visible[k], points)
-            if shown_for[k]:
-                time = (stamp - int(markers.stamps[0])) / NANOSECONDS
+            tracker.step(int(stamps[k]), markers.positions[k], markers.visible[k], points)
+            found, count = found or tracker.started, count + times
+            if times:
+                time = (int(stamps[k]) - int(stamps[0])) / NANOSECONDS
                 seen = every.positions[k][every.visible[k]]
-                picture = of_surface(known(tracker), seen, time, camera)
-                for _ in range(shown_for[k]):
+                picture = of_surface(shown_of(tracker), seen, time, camera)
+                for _ in range(times):
                     writer.write(picture)
             progress(1, len(markers))
-    return int(shown_for.sum()), '' if tracker.started else tracker.health().text
+    return count, '' if found else tracker.health().text
 
 
-def repeats(stamps: IntArray, fps: float) -> IntArray:
-    """How often each frame at stamps [ns] is shown in a video, shape (frames,).
+def repeats(stamps: IntArray, fps: float, longest: float) -> list[int]:
+    """How often each frame at stamps [ns] is shown in a video.
 
-    A frame that is not later than all before it is not.
+    A frame that is not later than all before it is not; no gap is longer than `longest` [s].
     """
     latest = np.flatnonzero(ahead(stamps))
-    count = int((stamps[latest[-1]] - stamps[0]) / NANOSECONDS * fps + 1e-6) + 1
-    times = stamps[0] + np.rint(np.arange(count) * NANOSECONDS / fps)
-    shown = latest[np.searchsorted(stamps[latest], times, side='right') - 1]
-    return np.bincount(shown, minlength=len(stamps))
+    gaps = np.minimum(np.diff(stamps[latest]) / NANOSECONDS, longest)
+    times = np.append(0.0, np.cumsum(gaps)) * fps
+    rounding = 1e-6  # of a frame
+    grid = np.arange(int(times[-1] + rounding) + 1) + rounding
+    shown = latest[np.searchsorted(times, grid, side='right') - 1]
+    return [int(count) for count in np.bincount(shown, minlength=len(stamps))]
 
 
-def known(tracker: Tracker) -> Shown | None:
+def shown_of(tracker: Tracker) -> Shown | None:
     """What a tracker knows now and at its horizon; None where it has no surface."""
     if not tracker.started:
         return None

@@ -19,8 +19,8 @@ from cloth_predict.video.view import BAND, SIZE, Camera
 
 PAPER = 255
 WIDE, THIN, DENSE = 2, 1, 40.0
-"""Widths of lines [px]: of edges that face the camera, but of a net whose edges are shorter [px],
-and of those that do not."""
+"""Widths of lines: of edges that face the camera, and of those that do not or are close together,
+most of them no longer than this [px]."""
 FAINT = 0.35
 """How much of the colour an edge has that does not face the camera."""
 DOT = 3.5
@@ -56,7 +56,7 @@ def _nets(picture: Picture, shown: Shown, camera: Camera) -> None:
             edges = surface.position[shown.edges[faces == near]]
             segments = dashes_of_net(edges) if colour is PREDICTION else edges
             pixels = camera.pinhole.project(segments)
-            width = WIDE if near and _length(edges, camera) > DENSE else THIN
+            width = WIDE if near and _apart(edges, camera) else THIN
             lines(picture, pixels, colour if near else _faint(colour), width)
 
 
@@ -68,9 +68,10 @@ def _facing(surface: Surface, camera: Camera) -> BoolArray:
     return np.asarray(np.einsum('ni,ni->n', ray, surface.normal) > 0.0)
 
 
-def _length(edges: FloatArray, camera: Camera) -> float:
-    """Mean length [px] of edges [m], shape (e, 2, 3), seen from their side."""
-    return camera.scale * float(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1).mean())
+def _apart(edges: FloatArray, camera: Camera) -> bool:
+    """Whether edges [m], shape (e, 2, 3), are longer than `DENSE`, most of them."""
+    lengths = camera.scale * np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    return 2 * int((lengths > DENSE).sum()) > len(edges)
 
 
 def _faint(colour: Colour) -> Colour:

@@ -12,7 +12,7 @@ from cloth_predict.types import FloatArray
 
 SIZE = (800, 720)
 """Width and height of a picture [px]."""
-MARGIN, BAND = 60.0, 110.0
+MARGIN, BAND = 60, 110
 """What is left free round the surface, and below it, for words [px]."""
 TURN, ELEVATION = 35.0, 15.0
 """Without a view that is given: degrees off the broad side of what is seen, and above it."""
@@ -60,7 +60,7 @@ def camera_for(points: FloatArray, up: FloatArray, view: View | None = None) -> 
     pose = rotation, distance * np.array([0.0, 0.0, 1.0]) - rotation @ ((low + high) / 2.0)
     seen = Pinhole(np.eye(3), *pose, np.zeros(8), *SIZE).project(points)
     low, high = seen.min(axis=0), seen.max(axis=0)
-    room = np.array(SIZE) - 2.0 * MARGIN - [0.0, BAND]
+    room = np.array(SIZE) - 2.0 * MARGIN - np.array([0.0, BAND])
     focal = float((room / np.maximum(high - low, SMALLEST)).min())
     centre = MARGIN + room / 2.0 - focal * (low + high) / 2.0
     intrinsic = np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
