@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
@@ -67,6 +66,5 @@ def _marker(
 
 
 def _points(places: FloatArray) -> list[Point]:
-    flat = places.reshape(-1, places.shape[-1])
-    padded = np.pad(flat, ((0, 0), (0, 3 - flat.shape[1])))
-    return [Point(x=x, y=y, z=z) for x, y, z in padded.tolist()]
+    flat = places.reshape(-1, places.shape[-1]).tolist()
+    return [Point(x=place[0], y=place[1], z=place[2] if len(place) > 2 else 0.0) for place in flat]

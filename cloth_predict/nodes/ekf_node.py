@@ -36,6 +36,8 @@ DROPPED = {
     'late': 'its stamp is too far before the latest one, see filter.rewind',
     'duplicate': 'there is one with its stamp already',
 }
+VIEW = 50_000_000
+"""Time [ns] from one augmented view to the next: that of a body takes some 10 ms to make."""
 
 
 class EkfNode(ConfiguredNode):
@@ -52,6 +54,7 @@ class EkfNode(ConfiguredNode):
         self._health = Health('OK', 'no frame yet')
         self._refused: dict[str, str] = {}
         self._unlabelled = 0
+        self._shown = -VIEW
         self._horizons = topics(self.config)
         self._predictions = {topic: self.publisher(PointCloud2, topic) for topic in self._horizons}
         self._estimate = self.publisher(PointCloud2, 'cloth/estimate')
@@ -152,6 +155,9 @@ class EkfNode(ConfiguredNode):
         if not self._tracker.started:
             self._overlay.publish(no_markers(stamp, self.config))
             return
+        if abs(stamp - self._shown) < VIEW:
+            return
+        self._shown = stamp
         horizon, health = self._horizons[PREDICTION], self._health
         shown = Shown.of(self._tracker, prediction, horizon, health)
         self._overlay.publish(surface_markers(shown, self.config))
