@@ -91,7 +91,8 @@ def _legend(picture: Picture, shown: Shown | None, time: float, camera: Camera) 
         state = f'{state}: {shown.health}'
         lines(picture, (at + down)[None], ESTIMATE, WIDE)
         _name(picture, at + down, 'estimate')
-        lines(picture, dashes((at + across)[None], SAMPLE / 6), PREDICTION, WIDE)
+        if shown.prediction is not None:
+            lines(picture, dashes((at + across)[None], SAMPLE / 6), PREDICTION, WIDE)
         _name(picture, at + across, shown.ahead)
     if shown is not None and len(shown.pushed):
         arrows(picture, (at + across + down)[None], FORCE, WIDE)
