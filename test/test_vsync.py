@@ -14,7 +14,7 @@ from cloth_predict.config import Config, ProjectorConfig, build
 from cloth_predict.errors import ConfigError
 from cloth_predict.nodes._clock import Ticks
 from cloth_predict.projection.vsync import HEARD, HeardVsync, Vsync, moved_on
-from cloth_predict.tracking.horizons import BACKLOG, FRESH, LATEST, FrameRequests
+from cloth_predict.tracking.horizons import BACKLOG, FRESH, LATEST, Backlog, FrameRequests
 
 getcontext().prec = 60
 NOW = 1_790_000_000_123_456_789  # ns; a float of this size resolves 256 ns
@@ -183,11 +183,39 @@ def test_a_frame_out_of_reach_leaves_the_horizon_and_is_told(off: float) -> None
     assert requests.warning == ''
 
 
-def test_frames_from_a_queue_are_told_until_it_is_empty() -> None:
-    requests = FrameRequests(VSYNC)
-    ages = [0.002, 1e9, BACKLOG, BACKLOG + 0.003, BACKLOG - 0.01, FRESH + 0.003, FRESH, BACKLOG]
-    expected = [False, False, False, True, True, True, False, False]
-    assert [requests.waited(age) for age in ages] == expected
+def predicted_from(backlog: Backlog, ages: list[float]) -> list[bool]:
+    return [not backlog.leaves_out(age) for age in ages]
+
+
+def test_the_longer_frames_wait_the_more_of_them_are_left_out() -> None:
+    backlog = Backlog(VSYNC)
+    assert predicted_from(backlog, [0.002, 1e9, BACKLOG]) == [True, True, True]
+    late = BACKLOG + 0.003
+    assert predicted_from(backlog, 4 * [late]) == [False, True, False, True]
+    assert predicted_from(backlog, 6 * [late + BACKLOG]) == 2 * [False, False, True]
+    assert predicted_from(backlog, 4 * [0.04]) == [False, True, False, True]
+    assert predicted_from(backlog, [FRESH, 0.04, 0.04]) == [True, True, True]
+
+
+@pytest.mark.parametrize(('horizon', 'patience'), [(0.2, 0.1), (0.01, BACKLOG)])
+def test_with_a_fixed_horizon_predictions_come_before_their_time(
+    horizon: float, patience: float
+) -> None:
+    backlog = Backlog(build({'horizon': horizon}, 'test'))
+    assert predicted_from(backlog, [0.0, *4 * [patience - 0.001]]) == 5 * [True]
+    assert predicted_from(backlog, 4 * [patience + 0.001]) == [False, True, False, True]
+
+
+def test_a_node_that_is_too_slow_for_all_predictions_still_makes_most() -> None:
+    backlog, free, ages, made = Backlog(build({'horizon': 0.1}, 'test')), 0.0, [], 0
+    for k in range(1000):  # frames each 10 ms, a step takes 5 ms and a prediction 6 ms
+        free = max(free, 0.01 * k)
+        ages.append(free - 0.01 * k)
+        left_out = backlog.leaves_out(ages[-1])
+        made += not left_out
+        free += 0.005 if left_out else 0.011
+    assert max(ages) < 0.06  # it would be a second with all of them
+    assert made > 750
 
 
 def test_a_lead_of_a_whole_frame_is_refused() -> None:

@@ -25,6 +25,7 @@ from cloth_predict.tracking import live_check
 from cloth_predict.tracking.horizons import (
     NEXT_FRAME,
     PREDICTION,
+    Backlog,
     FrameRequests,
     PipelineDelay,
     topics,
@@ -36,6 +37,7 @@ DROPPED = {
     'late': 'its stamp is too far before the latest one, see filter.rewind',
     'duplicate': 'there is one with its stamp already',
 }
+WAITED = 'it waited in a queue and is used, but nothing is predicted from it: frames come too fast'
 VIEW = 50_000_000
 """Time [ns] from one augmented view to the next: that of a body takes some 10 ms to make."""
 
@@ -48,6 +50,7 @@ class EkfNode(ConfiguredNode):
         self._tracker = Tracker(self.config)
         self._check = live_check.LiveCheck.of(self.config)
         self._delay, self._requests = PipelineDelay(self.config), FrameRequests(self.config)
+        self._backlog = Backlog(self.config)
         self._time = NodeClock(self)
         self._capture = 0
         self._step: Step | None = None
@@ -88,9 +91,8 @@ class EkfNode(ConfiguredNode):
         else:
             self._capture = stamp
         found: dict[str, Surface] = {}
-        vsync = self.config.horizon_mode == 'vsync'
-        if vsync and self._requests.waited(age):
-            self._diagnostics.counts['waited'] += 1
+        if self._backlog.leaves_out(age):
+            self._diagnostics.drop('waited', WAITED)
         elif self._tracker.started:
             found = self._predict(begin, age)
             self._show(stamp, found.get(PREDICTION))

@@ -21,7 +21,10 @@ What is beyond compares two clocks that have nothing in common."""
 
 BACKLOG, FRESH = 0.05, 0.01
 """Seconds by which a frame is older at its arrival than the freshest ones, from which on it has
-waited in a queue (others follow at once), and below which the queue is empty again."""
+waited in a queue at least (others follow at once), and below which the queue is empty again."""
+DRIFT = 1e-6
+"""Seconds by which two clocks drift apart from frame to frame at most: 0.1 ms in a second. The age
+of the freshest frames follows that, and not a queue that stays."""
 
 PREDICTION = 'cloth/prediction'
 """Topic of the prediction that the projector uses."""
@@ -84,6 +87,37 @@ class PipelineDelay:
         )
 
 
+class Backlog:
+    """From which frames of markers is predicted, where they wait in a queue.
+
+    To predict from all of these would keep the queue from getting shorter. From one that is late
+    on, by its age at its arrival, every other one is left out until the queue is empty again, and
+    more of them the later they are; so there are predictions at any load. With a fixed horizon a
+    frame is late by half of it, and where the horizon follows the delay by `BACKLOG`.
+    """
+
+    def __init__(self, config: Config) -> None:
+        """Prepare; nothing has waited yet."""
+        fixed = config.horizon_mode == 'fixed'
+        self._patience = max(BACKLOG, 0.5 * config.horizon) if fixed else BACKLOG
+        self._freshest = np.inf
+        self._behind = False
+        self._left_out = 0
+
+    def leaves_out(self, age: float) -> bool:
+        """Whether a frame of this age [s] at its arrival is one that is not predicted from."""
+        if not EARLIEST <= age <= LATEST:  # of a clock that tells nothing
+            return False
+        self._freshest = min(age, self._freshest + DRIFT)
+        late = age - self._freshest
+        self._behind = late > (FRESH if self._behind else self._patience)
+        if self._behind and self._left_out < max(1, int(late / self._patience)):
+            self._left_out += 1
+            return True
+        self._left_out = 0
+        return False
+
+
 class FrameRequests:
     """The frame of the projector for which is predicted, as it was asked for last."""
 
@@ -95,26 +129,11 @@ class FrameRequests:
         self._farthest = LATEST + self._before + 1.0 / projector.fps
         self._frame: int | None = None
         self._off = 0.0
-        self._ages: deque[float] = deque(maxlen=FRAMES)
-        self._behind = False
         self._took: deque[float] = deque([0.0], maxlen=FRAMES)
 
     def add(self, processing: float) -> None:
         """Take how long [s] it took from the arrival of a frame to its prediction."""
         self._took.append(processing)
-
-    def waited(self, age: float) -> bool:
-        """Whether a frame of this age [s] at its arrival is from a queue.
-
-        To predict from all of these as well would keep the queue from getting shorter, and the
-        longer it is, the farther is predicted, and the longer that takes.
-        """
-        if not EARLIEST <= age <= LATEST:  # of a clock that tells nothing
-            return False
-        self._ages.append(age)
-        limit = FRESH if self._behind else BACKLOG
-        self._behind = age - min(self._ages) > limit
-        return self._behind
 
     def ask(self, start: int) -> None:
         """Take the start [ns] of the frame that comes next."""
