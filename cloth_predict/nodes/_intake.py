@@ -18,24 +18,30 @@ DROPPED = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass
 class Intake:
-    """Gives the messages that a node hears to its tracker; what is of no use is counted."""
+    """Gives the messages that a node hears to its tracker; what is of no use is counted.
+
+    unlabelled: markers without a label in the last frame that was used.
+    """
 
     node: ConfiguredNode
     tracker: Tracker
     diagnostics: Diagnostics
+    unlabelled: int = 0
 
     def take(self, message: PointCloud2) -> Step | None:
         """What became of a frame, or None where it is dropped."""
         try:
             self.node.check_frame(message.header)
-            markers = decode_markers(message, self.tracker.nodes)
-            step = self.tracker.step(nanoseconds(message.header.stamp), *markers)
+            positions, visible, points = decode_markers(message, self.tracker.nodes)
+            stamp = nanoseconds(message.header.stamp)
+            step = self.tracker.step(stamp, positions, visible, points)
         except FrameError as error:
             self.diagnostics.drop('bad', str(error))
             return None
         if step.outcome in DROPPED:
             self.diagnostics.drop(step.outcome, DROPPED[step.outcome])
             return None
+        self.unlabelled = len(points)
         return step

@@ -12,10 +12,11 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cloth_predict.errors import FrameError, UncertainError
-from cloth_predict.formats.pointcloud import decode_markers, encode_surface
+from cloth_predict.formats.pointcloud import encode_surface
 from cloth_predict.formats.prediction import Prediction, encode_prediction
 from cloth_predict.nodes._clock import NodeClock
 from cloth_predict.nodes._diagnostics import Diagnostics
+from cloth_predict.nodes._intake import Intake
 from cloth_predict.nodes._mesh import mesh_marker
 from cloth_predict.nodes._overlay import no_markers, surface_markers
 from cloth_predict.nodes._ros import LATEST_QOS, ConfiguredNode, cloud, nanoseconds, run
@@ -33,10 +34,6 @@ from cloth_predict.tracking.horizons import (
 from cloth_predict.tracking.limits import Health
 from cloth_predict.types import Surface
 
-DROPPED = {
-    'late': 'its stamp is too far before the latest one, see filter.rewind',
-    'duplicate': 'there is one with its stamp already',
-}
 WAITED = 'it waited in a queue and is used, but nothing is predicted from it: frames come too fast'
 VIEW = 50_000_000
 """Time [ns] from one augmented view to the next: that of a body takes some 10 ms to make."""
@@ -56,7 +53,6 @@ class EkfNode(ConfiguredNode):
         self._step: Step | None = None
         self._health = Health('OK', 'no frame yet')
         self._refused: dict[str, str] = {}
-        self._unlabelled = 0
         self._shown = -VIEW
         self._horizons = topics(self.config)
         self._predictions = {topic: self.publisher(PointCloud2, topic) for topic in self._horizons}
@@ -64,6 +60,7 @@ class EkfNode(ConfiguredNode):
         self._mesh = self.create_publisher(Marker, 'cloth/mesh', 1)  # as RViz asks for it
         self._overlay = self.create_publisher(MarkerArray, 'cloth/markers', 10)
         self._diagnostics = Diagnostics(self, self._values, self._findings)
+        self._intake = Intake(self, self._tracker, self._diagnostics)
         self.subscribe(PointCloud2, 'markers', self._on_markers)
         if self.config.horizon_mode == 'vsync':
             self.subscribe(Header, NEXT_FRAME, self._on_request, LATEST_QOS)
@@ -74,17 +71,9 @@ class EkfNode(ConfiguredNode):
     def _on_markers(self, message: PointCloud2) -> None:
         begin, stamp = time.perf_counter(), nanoseconds(message.header.stamp)
         age = 1e-9 * ((self._time.now() or 0) - stamp)
-        try:
-            self.check_frame(message.header)
-            positions, visible, points = decode_markers(message, self._tracker.nodes)
-            step = self._tracker.step(stamp, positions, visible, points)
-        except FrameError as error:
-            self._diagnostics.drop('bad', str(error))
+        step = self._intake.take(message)
+        if step is None:
             return
-        if step.outcome in DROPPED:
-            self._diagnostics.drop(step.outcome, DROPPED[step.outcome])
-            return
-        self._unlabelled = len(points)
         self._step = step
         if step.outcome == 'rewound':  # predicted is from the latest frame
             age -= 1e-9 * (self._capture - stamp)
@@ -188,7 +177,7 @@ class EkfNode(ConfiguredNode):
         innovation = step.innovation if step else None
         values: dict[str, object] = {
             'visible_markers': f'{step.visible.sum() if step else 0} of {self._tracker.nodes}',
-            'unlabelled_markers': self._unlabelled,
+            'unlabelled_markers': self._intake.unlabelled,
             'nis': f'{innovation.nis:.1f} of {len(innovation.residual)}' if innovation else 'none',
             'health': self._health.text,
             'horizon_ms': f'{1e3 * horizon:.1f}',
