@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 from cloth_predict.cli import main
 from cloth_predict.experiments.metaxas1993 import EXPERIMENTS, arms, insect, tables
 from cloth_predict.experiments.metaxas1993.errors import Errors, least_position_error
-from cloth_predict.experiments.metaxas1993.joined import JoinedFilter
+from cloth_predict.experiments.metaxas1993.joined import JoinedFilter, closed
 from cloth_predict.experiments.metaxas1993.judging import apart
 from cloth_predict.experiments.metaxas1993.object import (
     INTERVAL,
@@ -22,6 +22,8 @@ from cloth_predict.experiments.metaxas1993.object import (
 )
 from cloth_predict.experiments.metaxas1993.ours import Ours
 from cloth_predict.experiments.metaxas1993.recipe import Recipe
+from cloth_predict.models.constraints import Articulated
+from cloth_predict.models.superquadric import GLOBAL
 
 
 @pytest.fixture(scope='module')
@@ -80,14 +82,29 @@ def test_ours_finds_the_nodes_of_exact_data(motion):
     assert errors[-1] < 0.01
 
 
-def test_joints_of_ours_hold():
-    places = insect.flown(1)
-    points = [list(places[0])]
+@pytest.mark.parametrize(('few', 'seed'), [(insect.NODES, 0), (insect.FEW, 0), (insect.FEW, 8)])
+def test_joints_of_ours_hold(few, seed):
+    rng = np.random.default_rng(seed)
+    chosen = [rng.permutation(insect.NODES)[:few] for _ in insect.INSECT]
+    points = [
+        [own[at] for own, at in zip(frame, chosen, strict=True)] for frame in insect.flown(2)
+    ]
     models = insect.first_models(points[0])
     ours = JoinedFilter(models.joined, Ours(insect.SIGMA, INTERVAL))
-    (found,) = ours.frames(models.states, points)
-    gaps = models.joined.violation(np.concatenate(found))
-    assert np.abs(gaps).max() < 1e-6 * 8.4  # of the size of the body
+    for q in ours.frames(models.states, points):
+        gaps = models.joined.violation(np.concatenate(q))
+        assert np.abs(gaps).max() < 1e-6 * 8.4  # of the size of the body
+
+
+def test_parts_are_joined_without_a_change_of_their_shapes():
+    models = insect.first_models(list(insect.flown(1)[0]))
+    model = Articulated(models.parts, [], 0.0)
+    x = closed(model, models.joined, model.join(models.states))
+    before = np.abs(models.joined.violation(np.concatenate(models.coordinates))).max()
+    assert before > 0.5
+    assert np.abs(models.joined.violation(x[: model.dim_q])).max() < 1e-12  # rounding
+    for state, first in zip(model.split(x), models.states, strict=True):
+        np.testing.assert_array_equal(state[GLOBAL], first[GLOBAL])
 
 
 def test_arms_hang_from_where_they_are_held():

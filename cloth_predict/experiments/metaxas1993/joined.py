@@ -19,7 +19,6 @@ from cloth_predict.models.constraints import Articulated
 from cloth_predict.models.joints import Joints
 from cloth_predict.models.superquadric import GLOBAL, Superquadric
 from cloth_predict.models.superquadric_kinematics import within_ranges
-from cloth_predict.models.superquadric_shape import HIGH, LOW
 from cloth_predict.observations import NodePositions
 from cloth_predict.types import FloatArray, Gaussian
 
@@ -30,6 +29,9 @@ HELD = 1e-6
 ROUNDS, FIRST_ROUNDS = 6, 12
 """Linearisations of an update, at each of which points find their nodes anew; and those of the
 frame in which points with labels find theirs for good."""
+
+POSE = GLOBAL.start
+"""Coordinates of a part that move it as a rigid body: the first ones."""
 
 
 @dataclass(frozen=True)
@@ -163,15 +165,15 @@ class JoinedFilter:
 
 
 def closed(model: Articulated, joints: Joints, x: FloatArray) -> FloatArray:
-    """The state nearest to this one, by Newton's method, at which the joints hold.
+    """The state in which the joints hold, by Newton's method, as parts move as rigid bodies.
 
-    What brings parameters back into their ranges opens them: one at an end of its range stays.
+    What brings parameters back into their ranges opens them. Shapes stay, which are in range.
     """
+    mobility = np.zeros(model.dim_q)
+    for at in joints.coordinates:
+        mobility[at][:POSE] = model.inverse_mass[at][:POSE]
     for _ in range(ROUNDS):
-        q, mobility = x[: model.dim_q], model.moving.astype(float)
-        for at in joints.coordinates:
-            shape = q[at][GLOBAL]
-            mobility[at][GLOBAL] *= (shape > LOW) & (shape < HIGH)
+        q = x[: model.dim_q]
         linkage = joints.at(q, mobility)
         q = q - linkage.moved(linkage.solve(joints.violation(q)))
         x = model.admissible(np.append(q, x[model.dim_q :]))
