@@ -1,5 +1,7 @@
 """A body followed live: markers without labels, ghosts, absences, late frames, and found again."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,11 +10,14 @@ from test_body_start import surface_error
 
 from cloth_predict.bodies.registration import aligned, registered
 from cloth_predict.bodies.surface_distance import nearest_on_surface
+from cloth_predict.config import load
 from cloth_predict.errors import FrameError, UncertainError
 from cloth_predict.filters.family import BODY_FILTERS
+from cloth_predict.formats.recording import read
 from cloth_predict.models.superquadric_shape import PARAMETERS
 from cloth_predict.tracker import Tracker
 
+ROOT = Path(__file__).parents[1]
 BODY = Swinging()
 
 
@@ -227,6 +232,22 @@ def test_most_of_a_body_is_enough_to_find_it():
     for frame in range(131, 150):
         feed(frame)
     assert surface_error(tracker, 1.49) < 2.5e-3
+
+
+def test_a_soft_body_is_found_again_though_it_came_back_in_another_shape():
+    """The balloon of the package without labels: after a second no rigid motion lays it there."""
+    recording, own = read(ROOT / 'bags/balloon'), load(ROOT / 'config/balloon.yaml')
+    tracker, markers = Tracker(own), recording.markers
+    nobody, nowhere = np.zeros(tracker.nodes, bool), np.full((tracker.nodes, 3), np.nan)
+    for k in range(206):
+        seen = markers.visible[k] & (not 100 <= k < 200)
+        step = tracker.step(int(markers.stamps[k]), nowhere, nobody, markers.positions[k][seen])
+        if k == 200:
+            assert step.outcome == 'restarted'
+    assert tracker.predict(0.1).sigma.max() < own.limits.sigma_warn
+    true, estimate = recording.truth.surface[205, 0], tracker.estimate()
+    off = nearest_on_surface(true, estimate.position, tracker.triangles).place - true
+    assert rms(np.linalg.norm(off, axis=1)) < 2.5e-3
 
 
 def test_a_hidden_body_keeps_its_shape():

@@ -17,6 +17,9 @@ from cloth_predict.tracking.settling import Rest
 from cloth_predict.tracking.track import Frame, Step
 from cloth_predict.types import FloatArray, IntArray, Surface
 
+WHOLE = 0.8
+"""Share of its markers with which a body can be started as well as at first."""
+
 
 class BodyFollower:
     """Starts a body and follows it."""
@@ -45,15 +48,17 @@ class BodyFollower:
     ) -> tuple[BodyTrack, Step] | None:
         """Find a body that is gone by its shape, if it is among the markers of the frame.
 
-        Where it is not for `association.patience`, another body is started.
+        Where it is not, it is started anew: at once if nearly all of its markers are back, as a
+        soft one may have another shape by now, or else after `association.patience`.
         """
         if not before.gone:
             return None
         again = found_again(before, frame, self._config)
         if again is not None:
             return follow(again, frame, self._config)
+        whole = len(frame.points) + frame.visible.sum() >= WHOLE * len(before.attached)
         patience = self._config.association.patience * NANOSECONDS
-        return self.start(frame) if after.stamp - after.good > patience else None
+        return self.start(frame) if whole or after.stamp - after.good > patience else None
 
     def estimate(self, track: BodyTrack) -> Surface:
         """Return the surface at the frame of the track."""
