@@ -15,6 +15,10 @@ from cloth_predict.formats.files import make_folder
 
 def add(command: Add) -> None:
     """Add the command."""
+    names = '; '.join(
+        f'{work}: ' + ', '.join(experiment.name for experiment in experiments)
+        for work, experiments in WORKS.items()
+    )
     parser = command('reproduce', _reproduce, 'repeat the experiments of a work, and compare')
     parser.add('work', choices=sorted(WORKS))
     parser.add(
@@ -22,11 +26,8 @@ def add(command: Add) -> None:
         nargs='+',
         default=[],
         metavar='FIGURE',
-        help='figures such as 6.6, or chapters; there are '
-        + '; '.join(
-            f'{work}: ' + ', '.join(experiment.name for experiment in experiments)
-            for work, experiments in WORKS.items()
-        ),
+        # argparse takes % for the start of a placeholder
+        help=f'figures such as 6.6, or chapters; there are {names}'.replace('%', '%%'),
     )
     parser.add(
         '--quick', action='store_true', help='shorter runs and fewer iterations: some minutes'

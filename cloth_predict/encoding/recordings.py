@@ -15,7 +15,7 @@ from cloth_predict.config.ruler_video import RulerVideoConfig, load_ruler_video
 from cloth_predict.encoding.decode import Decoded, Progress, read_markers
 from cloth_predict.encoding.encode import write_encoded
 from cloth_predict.encoding.smoothed import smoothed
-from cloth_predict.errors import ConfigError
+from cloth_predict.encoding.smoothed_bar import smoothed_bar
 from cloth_predict.evaluation.cases import in_order
 from cloth_predict.formats.bag import UNNAMED_FRAME, Recording, create_bag, write_recording
 from cloth_predict.formats.pointcloud import encode_markers, encode_surface
@@ -176,14 +176,13 @@ def decode(
     config_path: what is smoothed with, if not with that of the recording; states: whether to write
     what the filter made of each frame as well.
     """
-    config = None if config_path is None else load(config_path)
     found = read_markers(source, states, progress)
-    markers = found.markers
+    markers, config = found.markers, found.config
+    if config_path is not None:
+        of_bar = isinstance(config, RulerVideoConfig)
+        config = load_ruler_video(config_path) if of_bar else load(config_path)
     if rate is not None:
-        by = config or found.config
-        if isinstance(by, RulerVideoConfig):
-            raise ConfigError(f'{source}: a sliding bar; --rate is for surfaces of springs')
-        markers = between(found.nodes, by, rate, progress)
+        markers = between(found.nodes, config, rate, progress)
     _write(output, markers, found)
     missing = float(1.0 - markers.visible.mean())
     recorded = len(found.markers)
@@ -191,19 +190,25 @@ def decode(
 
 
 def between(
-    nodes: MarkerSequence, config: Config, rate: float, progress: Progress
+    nodes: MarkerSequence, config: Config | RulerVideoConfig, rate: float, progress: Progress
 ) -> MarkerSequence:
-    """Nodes of a surface at so many frames per second, from the first frame to the last.
+    """Nodes of a surface, or ends of a bar, at so many frames per second, from first to last.
 
-    One of which too little is known (`limits.sigma_error`) is not visible.
+    One of which too little is known (`limits.sigma_error`) is not visible, nor is a bar between
+    two motions.
     """
     nodes = in_order(nodes)
     first, last = nodes.stamps[[0, -1]].tolist()
     count = int((last - first) * rate / NANOSECONDS + 1e-6) + 1
     times = first + np.rint(np.arange(count) * (NANOSECONDS / rate)).astype(np.int64)
-    positions, sigma = smoothed(nodes, config, times, lambda done: progress(done, count))
-    known = sigma <= config.limits.sigma_error  # nor where it is NaN
-    positions = np.where(known[..., None], positions, np.nan)
+    if isinstance(config, RulerVideoConfig):
+        positions = smoothed_bar(nodes, config.ruler, times)
+        known = np.isfinite(positions[..., 0])
+        progress(count, count)
+    else:
+        positions, sigma = smoothed(nodes, config, times, lambda done: progress(done, count))
+        known = sigma <= config.limits.sigma_error  # nor where it is NaN
+        positions = np.where(known[..., None], positions, np.nan)
     return MarkerSequence(times, nodes.labels, positions, known, nodes.frame_id)
 
 
