@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from test_smoothing import SHEET, swinging
 
 from cloth_predict.cli import main
@@ -287,6 +288,19 @@ def test_a_newer_version_is_named(small, tmp_path):
                 fields['version'] = container.VERSION + 1
             file.write(topic, 0, **fields)
     with pytest.raises(FormatError, match=r'new.mcap: version 2 .* reads version 1'):
+        read_markers(tmp_path / 'new.mcap')
+
+
+def test_a_newer_version_is_named_whatever_is_in_its_message(tmp_path, monkeypatch):
+    newer = 'uint32 version\nuint8[] other\n'
+    kind = 'cloth_predict/msg/Encoding'
+    with monkeypatch.context() as patched:
+        types = get_typestore(Stores.EMPTY)
+        types.register(get_types_from_msg(newer, kind))
+        patched.setattr(container, 'TYPES', types)
+        with create_encoded(tmp_path / 'new.mcap') as file:
+            file.write(ENCODING, 0, version=container.VERSION + 1, other=np.zeros(3, np.uint8))
+    with pytest.raises(FormatError, match=r'new.mcap: version 2 of the format, .* version 1$'):
         read_markers(tmp_path / 'new.mcap')
 
 

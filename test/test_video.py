@@ -214,6 +214,17 @@ def test_frozen_picture_is_said_and_not_measured():
     assert seen == [True] * 4 + [False] * 2 + [True] * 2
 
 
+def test_frozen_picture_is_known_after_compression(tmp_path):
+    shown = video(moving(8))
+    shown[4:6] = [replace(frame, picture=shown[3].picture) for frame in shown[4:6]]
+    with Writer(tmp_path / 'frozen.mp4', 50.0) as writer:
+        for frame in shown:
+            writer.write(frame.picture)
+    assert faults(frames(tmp_path / 'frozen.mp4', 50.0)) == [
+        'frame 4: the picture of the frame before again, though the bar moves'
+    ]
+
+
 def test_bar_at_rest_is_not_frozen():
     assert faults(video([(0.0, 0.0, 0.3)] * 4)) == []
 
@@ -415,3 +426,27 @@ def test_overlay_has_edges_dashes_and_friction(filmed_shot):
         for tail, tip, way in zip(tails, tips, moved, strict=True)
     ]
     np.testing.assert_allclose(cosines, -1.0, atol=1e-2)  # friction is against the motion
+
+
+@pytest.mark.parametrize(
+    ('changes', 'words'),
+    [
+        ({'mu': 5.0}, r'mu: 5 is not within ruler\.mu_low and ruler\.mu_high, 0\.001 and 1\.5'),
+        ({'contact_low': 0.7}, r'contact_low: 0\.7 is above ruler\.contact_high, 0\.5'),
+    ],
+)
+def test_a_first_guess_out_of_its_bounds_is_named(changes, words):
+    with pytest.raises(ConfigError, match=rf'^x: ruler\.{words}$'):
+        build_ruler_video({'ruler': changes}, 'x')
+
+
+def test_a_film_keeps_a_parameter_file_that_is_not_its_own(tmp_path, capsys):
+    own = tmp_path / 'towel.yaml'
+    own.write_text('mine')
+    arguments = ['film', '-o', str(tmp_path / 'towel.mp4'), '--shot', '5', '--size', '64', '48']
+    assert main(arguments) == 1
+    error = capsys.readouterr().err
+    assert error == f'cloth-predict: {own}: exists and was not made by `film`; not overwritten\n'
+    assert own.read_text() == 'mine'
+    own.unlink()
+    assert main(arguments) == main(arguments) == 0

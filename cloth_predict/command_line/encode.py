@@ -25,7 +25,7 @@ def add(command: Add) -> None:
         type=positive,
         metavar='MM',
         help='how far a rebuilt marker may be from the recorded one; default: three times '
-        'filter.measurement_noise',
+        'filter.measurement_noise, of a video ruler.position_noise',
     )
 
 

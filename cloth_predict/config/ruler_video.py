@@ -69,6 +69,16 @@ class RulerVideoConfig:
 def build_ruler_video(values: dict[str, Any], source: str) -> RulerVideoConfig:
     """Build it from nested mappings; `source` names their origin in errors."""
     config = build_group(RulerVideoConfig, values, source)
+    for name in ('length', 'contact', 'mu'):
+        bounds = f'ruler.{name}_low', f'ruler.{name}_high'
+        low, first, high = (getattr(config.ruler, name + end) for end in ('_low', '', '_high'))
+        if low > high:
+            raise ConfigError(f'{source}: {bounds[0]}: {low:g} is above {bounds[1]}, {high:g}')
+        if not low <= first <= high:
+            raise ConfigError(
+                f'{source}: ruler.{name}: {first:g} is not within {bounds[0]} and {bounds[1]}, '
+                f'{low:g} and {high:g}'
+            )
     pixels, metres = len(config.camera.pixels), len(config.camera.metres)
     if pixels != metres:
         raise ConfigError(

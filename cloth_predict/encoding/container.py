@@ -110,19 +110,32 @@ def read_encoded(path: Path) -> Iterator[tuple[str, Any]]:
                     topics[record.id] = record.topic
                 elif isinstance(record, Message):
                     topic = topics[record.channel_id]
-                    if topic not in _KINDS:
-                        raise FormatError(f'{path}: not a recording made by `encode`')
+                    _check(topic, record.data, path)
                     if record.sequence != expected:
                         raise ValueError(f'message {expected} is missing')
+                    message = TYPES.deserialize_cdr(record.data, _KINDS[topic])
                     expected += 1
-                    yield topic, TYPES.deserialize_cdr(record.data, _KINDS[topic])
+                    yield topic, message
     except FileNotFoundError:
         raise FormatError(f'{path}: no such file') from None
     except FormatError:
         raise
     except Exception as error:  # the libraries raise many kinds for a damaged file
         reason = ' '.join(str(error).split()) or type(error).__name__
-        raise FormatError(f'{path}: damaged after message {expected}: {reason}') from None
+        damaged = f'damaged after message {expected}'
+        where = damaged if expected else 'not made by `encode`, or damaged from its start on'
+        raise FormatError(f'{path}: {where}: {reason}') from None
+
+
+def _check(topic: str, data: bytes, path: Path) -> None:
+    """Raise FormatError of a topic or a version that is not known, whatever else is in it."""
+    if topic not in _KINDS:
+        raise FormatError(f'{path}: not a recording made by `encode`')
+    version = int.from_bytes(data[4:8], 'little')  # after the four bytes that say how it is coded
+    if topic == ENCODING and version != VERSION:
+        raise FormatError(
+            f'{path}: version {version} of the format, and this software reads version {VERSION}'
+        )
 
 
 def _is_own(path: Path) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cloth_predict.config import Config, build, parse_yaml
 from cloth_predict.config.ruler_video import RulerVideoConfig, build_ruler_video
-from cloth_predict.encoding.container import ENCODING, VERSION, read_encoded
+from cloth_predict.encoding.container import ENCODING, read_encoded
 from cloth_predict.encoding.encode import checksum
 from cloth_predict.encoding.expectation import Expectation, expecting
 from cloth_predict.encoding.numbers import unpacked, unpacked_residual, unpacked_stamps
@@ -97,15 +97,10 @@ def read_markers(
 
 
 def _header(messages: Iterator[tuple[str, Any]], path: Path) -> Any:
-    """Return the first message. Raises FormatError where there is none of a known version."""
+    """Return the first message. Raises FormatError where it is another one."""
     topic, header = next(messages, ('', None))
     if header is None or topic != ENCODING:
         raise FormatError(f'{path}: not a recording made by `encode`')
-    if header.version != VERSION:
-        raise FormatError(
-            f'{path}: version {header.version} of the format, and this software reads version '
-            f'{VERSION}'
-        )
     return header
 
 

@@ -28,6 +28,8 @@ from cloth_predict.video.report import RulerReport
 from cloth_predict.video.surface import augmented as of_surface
 from cloth_predict.video.view import View, camera_for
 
+TRUTH = '# truth:'
+"""Where the truth begins in the parameter file of a film."""
 COMPRESSED = 0.25
 """Sigma of a centre [px] in a picture that was compressed."""
 
@@ -71,7 +73,9 @@ def film(path: Path, shot: str, how: generator.Filming, seed: int) -> tuple[int,
     let_go = random_shot(rng) if shot == 'random' else ANNEX_A[int(shot)]
     motion, length = slide(let_go), float(let_go.ruler.L)
     camera = generator.camera_for(motion, length, how.size)
-    count = 0
+    count, beside = 0, path.with_suffix('.yaml')
+    if beside.exists() and TRUTH not in beside.read_text(encoding='utf-8'):
+        raise FormatError(f'{beside}: exists and was not made by `film`; not overwritten')
     with Writer(path, how.fps) as writer:
         for frame in generator.film(motion, length, camera, how, rng):
             writer.write(frame.picture)
@@ -81,7 +85,6 @@ def film(path: Path, shot: str, how: generator.Filming, seed: int) -> tuple[int,
         camera=camera,
         video=VideoConfig(path=str(path), fps=how.fps),
     )
-    beside = path.with_suffix('.yaml')
     make_folder(beside.parent)
     with writing(beside):
         beside.write_text(dump(config) + _truth(let_go, motion), encoding='utf-8')
@@ -156,6 +159,6 @@ def shown_of(tracker: Tracker) -> Shown | None:
 def _truth(shot: Shot, motion: Slide) -> str:
     ruler, (x, y, angle) = shot.ruler, motion.at(np.array([motion.duration]))[0, :3]
     return (
-        f'# truth: L {ruler.L:g}, L1 {ruler.L1:g}, L2 {ruler.L2:g}, mu {ruler.mu:g}; '
+        f'{TRUTH} L {ruler.L:g}, L1 {ruler.L1:g}, L2 {ruler.L2:g}, mu {ruler.mu:g}; '
         f'at rest after {motion.duration:.4f} s at x {x:.4f}, y {y:.4f}, angle {angle:.4f}\n'
     )
