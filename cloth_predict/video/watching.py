@@ -15,9 +15,9 @@ from cloth_predict.video.opencv import cv2
 STILL = 1.0
 """Pixels: a bar that moved by more from one frame to the next does not stop at once."""
 
-ALIKE = 4
-"""Grey levels by which a picture that is shown again may differ after compression. The edge of a
-bar that moves by a tenth of a pixel changes by more."""
+ALIKE = 10
+"""Grey levels by which a picture that is shown again may differ after compression (5 were seen).
+The edge of a bar that moves by half a pixel changes by more, at half of its contrast."""
 
 
 @dataclass(frozen=True)
