@@ -7,7 +7,7 @@ import numpy as np
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.models.ruler import SPIN, VELOCITY
 from cloth_predict.tracking.motion import NANOSECONDS
-from cloth_predict.tracking.ruler import RulerTracker
+from cloth_predict.tracking.ruler import NO_INPUT, RulerTracker
 from cloth_predict.tracking.ruler_assembly import ANGLE, MEASURED, STATES
 from cloth_predict.tracking.track import Step
 from cloth_predict.types import BoolArray, FloatArray, IntArray, Surface
@@ -83,7 +83,7 @@ class BarExpectation:
             return None
         mean, cov = tracker.belief.mean, tracker.belief.cov
         alpha, state = mean[ANGLE], tracker.state
-        motion = tracker.ruler.f(state, np.zeros(0))
+        motion = tracker.ruler.f(state, NO_INPUT)
         along = np.array([np.cos(alpha), np.sin(alpha), 0.0])
         across = np.array([-along[1], along[0], 0.0])
         side = SIDES[:, None] * mean[LENGTH]

@@ -8,13 +8,12 @@ import numpy as np
 
 from cloth_predict.config.ruler import RulerConfig
 from cloth_predict.encoding.bar import bar_between, ends_of
-from cloth_predict.filters.linear import propagate
-from cloth_predict.filters.smoothing import Moment, smooth, taken
+from cloth_predict.filters.smoothing import Moment, smooth, stepped, taken
 from cloth_predict.integrators.sliding import Sliding
 from cloth_predict.models.ruler import SPIN, VELOCITY
 from cloth_predict.models.with_parameters import Parametrised
 from cloth_predict.tracking.motion import NANOSECONDS
-from cloth_predict.tracking.ruler import RulerTracker
+from cloth_predict.tracking.ruler import NO_INPUT, RulerTracker
 from cloth_predict.tracking.ruler_assembly import (
     ANGLE,
     MEASURED,
@@ -26,7 +25,6 @@ from cloth_predict.tracking.ruler_assembly import (
 )
 from cloth_predict.types import FloatArray, Gaussian, IntArray, MarkerSequence
 
-NO_INPUT = np.zeros(0)
 ROUNDS = 4
 """Passes, each linearised about what the one before found (Gauss and Newton): in the first frames
 velocities and parameters are hardly known, and what is linearised about a wrong guess is wrong."""
@@ -90,10 +88,8 @@ def _forward(
     for k, stamp in enumerate(line.tolist()):
         if k:
             dt = (stamp - int(line[k - 1])) / NANOSECONDS
-            about = known[k - 1].mean if known else belief.mean
-            mean, tangent = method.step_tangent(model, about, NO_INPUT, dt)
-            mean = mean + tangent.push((belief.mean - about)[:, None])[:, 0]
-            belief = Gaussian(mean, propagate(belief.cov, tangent, dt * noise))
+            about = known[k - 1].mean if known else None
+            belief, tangent = stepped(method, belief, model, NO_INPUT, noise, dt, about)
         learnt = None
         if stamp in stretch.frames:
             angle = known[k].mean[ANGLE] if known else belief.mean[ANGLE]

@@ -74,9 +74,16 @@ def stepped(
     u: FloatArray,
     q: FloatArray,
     dt: float,
+    about: FloatArray | None = None,
 ) -> tuple[Gaussian, Tangent]:
-    """Belief dt [s] later, as of the extended Kalman filter, and the derivative of the step."""
-    mean, tangent = integrator.step_tangent(model, belief.mean, u, dt)
+    """Belief dt [s] later, as of the extended Kalman filter, and the derivative of the step.
+
+    about: a state, shape (dim_x,), about which the step is linearised in place of the mean.
+    """
+    at = belief.mean if about is None else about
+    mean, tangent = integrator.step_tangent(model, at, u, dt)
+    if about is not None:
+        mean = mean + tangent.push((belief.mean - about)[:, None])[:, 0]
     return Gaussian(mean, propagate(belief.cov, tangent, dt * q)), tangent
 
 
